@@ -111,8 +111,8 @@ def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
     return b"".join(pieces)
 
 
-class Change(NamedTuple):
-    """Cells that a scan has changed in a grid: their state, or with noisy lasers also how certain it is."""
+class GridChange(NamedTuple):
+    """The cells of a grid that a scan has changed: their state, or with noisy lasers also how certain it is."""
 
     cells: int
     """Number of changed cells."""
@@ -124,16 +124,16 @@ class Change(NamedTuple):
         """The box as an array of one row; no row if nothing changed."""
         return np.array([self.box], np.int32) if self.cells else NO_BOXES
 
-    def joined(self, other: Change) -> Change:
+    def joined(self, other: GridChange) -> GridChange:
         """Return this change and another one as one."""
         if not (self.cells and other.cells):
             return self if self.cells else other
-        return Change(self.cells + other.cells, bounding_box([self.box, other.box]))
+        return GridChange(self.cells + other.cells, bounding_box([self.box, other.box]))
 
 
 def draw(
     grid: Grid, ray_table: RayTable, x: int, y: int, readings: Readings, driven: Cells = NO_CELLS
-) -> Change:
+) -> GridChange:
     """Draw a scan taken in cell (x, y) on a grid, in place: crossed cells become free, cells that were hit occupied.
 
     The robot's cell and the cells that it has `driven` over, int32 of shape (n, 2), become free as well. Only unknown
@@ -144,7 +144,7 @@ def draw(
     changed, x0, y0, x1, y1 = _draw(
         grid, cells, flat, ray_table.start, ray_table.shared, x, y, readings, driven
     )
-    return Change(changed, (x0, y0, x1, y1))
+    return GridChange(changed, (x0, y0, x1, y1))
 
 
 @kernel

@@ -16,7 +16,7 @@ from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Cell, Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 NO_SENDER = -2
 """The sender of entries that this robot decodes again."""
@@ -85,7 +85,7 @@ class MapEncoding(ABC):
 
     @abstractmethod
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Return the packets to append to this robot's log for this step; none if nothing is to be sent.
 

@@ -14,11 +14,11 @@ from agent.encodings.compression import compress, decompress
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packets
-from protocol.boxes import NO_BOXES, union
+from protocol.boxes import NO_BOXES, bounding_box, union
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan, contents, fragments
+from protocol.scans import GridChange, Scan, contents, fragments
 
 RUNS, ZSTD = 0, 1
 """Compression of a patch: run lengths, or a zstd frame."""
@@ -61,9 +61,10 @@ class CellEncoding(GridEncoding):
         self._pending = NO_BOXES
         """Where the self-explored grid has changed since the last patch."""
         self._partial: dict[int, bytes] = {}
+        """The beginning of a message of which the rest has not arrived, by map ID."""
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
         self.own_changes.add(own, change)
@@ -85,22 +86,20 @@ class CellEncoding(GridEncoding):
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble fragments, and apply the patches that are complete."""
-        data = self._partial.get(map_id, b"") + contents(frame)
-        patches = []
+        data, patches = self._partial.get(map_id, b"") + contents(frame), []
         while (read := unpack(data, self.received.shape)) is not None:
             x0, y0, patch, data = read
-            patches.append((x0, y0, patch))
-        for x0, y0, patch in patches:
-            box = x0, y0, x0 + patch.shape[1], y0 + patch.shape[0]
-            self._reachability.check(map_id, box, step=step, sender=sender)
+            patches.append((patch, (x0, y0, x0 + patch.shape[1], y0 + patch.shape[0])))
+        if patches:
+            area = bounding_box([box for _, box in patches])
+            self._reachability.check(map_id, area, len(patches), step=step, sender=sender)
         self._partial[map_id] = data
-        for x0, y0, patch in patches:
-            height, width = patch.shape
+        for patch, box in patches:
             rows, columns = np.nonzero(patch != SAME)
-            places = (rows + y0) * self.received.shape[1] + columns + x0
+            places = (rows + box[1]) * self.received.shape[1] + columns + box[0]
             states = patch[rows, columns] - np.uint8(1)
             self.votes.count(self.settings.author_of(map_id), places.astype(np.int32), states)
-            self.received_changed((x0, y0, x0 + width, y0 + height))
+            self.received_changed(box)
 
 
 def pack(x0: int, y0: int, patch: Patch) -> bytes:

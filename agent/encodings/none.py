@@ -6,7 +6,7 @@ from agent.encodings.received_grid import GridEncoding
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 
 class NoEncoding(GridEncoding):
@@ -15,7 +15,7 @@ class NoEncoding(GridEncoding):
     name = "none"
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Return no packets."""
         self.own_changes.add(own, change)

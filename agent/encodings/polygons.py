@@ -29,7 +29,7 @@ from agent.planning.small_frontiers import without_small_frontiers
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 
 class PolygonEncoding(MapEncoding):
@@ -103,7 +103,7 @@ class PolygonEncoding(MapEncoding):
         return {map_id: polygons for map_id, polygons in held.items() if polygons.objects}
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Repair and refine the approximation, and encode the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0

@@ -36,7 +36,7 @@ from protocol.grid import Cell, Grid
 from protocol.packet_codec import encode
 from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 RETURN_STEPS = 8
 """Steps for which a robot waits until dropped updates on which its own ones depend have arrived again."""
@@ -93,7 +93,7 @@ class PredictiveEncoding(GridEncoding):
         return caches[map_id]
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Encode an update, if teammates hold the last one and enough cells have changed.
 

@@ -30,14 +30,16 @@ class ReachabilityCheck:
         self._authors = [settings.author_of(map_id) for map_id in range(settings.maps)]
         self._speed = max(body.speed for body in settings.bodies)
         self._ranges = [body.range_cells for body in settings.bodies]
-        self._perfect = not settings.replication.requires_acks
+        self._is_lossless = not settings.replication.requires_acks
         self._reported: dict[int, Box] = {}
         self._entries: dict[int, int] = {}
+        """`_reported`, `_entries`: the area that each map has reported, and the number of its entries, by map ID."""
         self._poses: dict[int, tuple[int, int, int]] = {}
+        """The step and cell (x, y) of each robot's last broadcast pose."""
 
     def note_pose(self, robot: int, step: int, x: int, y: int) -> None:
         """Take the cell that a robot broadcast as its pose; the check needs a medium without loss or delay."""
-        if self._perfect:
+        if self._is_lossless:
             self._poses[robot] = step, x, y
 
     def forget(self) -> None:

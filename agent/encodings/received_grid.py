@@ -12,7 +12,7 @@ from agent.settings import Settings
 from protocol.boxes import NO_BOXES, Box, Boxes, union, whole_grid
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
-from protocol.scans import Change
+from protocol.scans import GridChange
 
 
 class ChangedCells:
@@ -22,7 +22,7 @@ class ChangedCells:
         self._seen: Grid | None = None
         self._boxes: Boxes = NO_BOXES
 
-    def add(self, own: Grid, change: Change) -> None:
+    def add(self, own: Grid, change: GridChange) -> None:
         """Note a change of the grid."""
         if own is self._seen and change.cells:
             self._boxes = union(self._boxes, change.boxes)

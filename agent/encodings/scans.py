@@ -25,7 +25,7 @@ from protocol.range_scans import (
     range_scan_size,
     smoothed,
 )
-from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_scan, fragments, scan_size
+from protocol.scans import NONE, GridChange, Scan, contents, decode_scan, encode_scan, fragments, scan_size
 
 Report = tuple[Int32s, Uint8s, Box]
 """Cells, as indices of the flat grid, each once, their states, and a box that contains them."""
@@ -44,14 +44,16 @@ class ScanEncoding(GridEncoding):
         self._format = self.make_format(settings)
         self._most = settings.medium.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
+        """The beginning of a message of which the rest has not arrived, by map ID."""
         self._last = b""
+        """The last scan that was encoded."""
 
     def make_format(self, settings: Settings) -> ExactScans | RangeScans:
         """Return the format of the scans."""
         return ExactScans(settings) if settings.laser is None else RangeScans(settings)
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Encode the scan, unless it repeats the last one or has no readings."""
         self.own_changes.add(own, change)

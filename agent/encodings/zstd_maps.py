@@ -17,7 +17,7 @@ from protocol.boxes import NO_BOX, box_of
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan, contents, fragments
+from protocol.scans import GridChange, Scan, contents, fragments
 
 INTERVAL = 5
 """Least number of steps from one map to the next: nav2 publishes its map every 5 s."""
@@ -45,6 +45,7 @@ class ZstdMapEncoding(GridEncoding):
         super().__init__(settings)
         self._most = settings.medium.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
+        """The beginning of a message of which the rest has not arrived, by map ID."""
         self._maps: dict[int, Grid] = {}
         """The last received map, by map ID."""
         self._sent: Grid = np.zeros_like(self.received)
@@ -52,7 +53,7 @@ class ZstdMapEncoding(GridEncoding):
         """Steps since the last map was sent."""
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Encode the map if it is time."""
         self.own_changes.add(own, change)

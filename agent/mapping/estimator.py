@@ -19,14 +19,20 @@ from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import Vector
-from protocol.scans import Change
+from protocol.scans import GridChange
 
 Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
 
-PASS, STRUCK = -8, 17
+PASS, HIT = -8, 17
+"""What a scan adds to the log odds of a cell that it has passed, or hit."""
+
 LEAST, MOST = -40, 70
+"""Limits of the log odds of a cell."""
+
 WALL, CLEAR = 8, -6
-STRIKE = 3
+"""A cell becomes a wall above the first threshold, and free below the second one."""
+
+HIT_VOTES = 3
 """Votes of a beam that ends in a cell, for a hit; a beam that passes the cell has one vote against it."""
 
 TOUCHED = 1 << 14
@@ -34,7 +40,6 @@ TOUCHED = 1 << 14
 
 SETTLED = 24
 """Absolute log odds from which a cell is settled."""
-
 
 NEAR_LOOKS = 3
 """Scans from nearby in which no beam enters an unknown cell in sight, after which it counts as a wall."""
@@ -49,45 +54,48 @@ class Estimator:
         self.log_odds: NDArray[np.int8] = np.zeros((height, width), np.int8)
         self.states: Grid = np.full((height, width), UNKNOWN, np.uint8)
         self._marks: NDArray[np.int16] = np.zeros((height, width), np.int16)
+        """The votes of a scan for each cell (`TOUCHED`); 0 between scans."""
         self._looks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
+        """Scans that have not entered a cell nearby (`close`)."""
 
-    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Change:
+    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> GridChange:
         """Add a scan taken at (x, y).
 
         `ends`, shape (beams, 2), are where beams end; `hits` are beams that ended at an obstacle.
         """
         return self._apply(_mark_beams(self._marks, x, y, ends, hits))
 
-    def strike(self, x: int, y: int) -> Change:
+    def strike(self, x: int, y: int) -> GridChange:
         """Note that the robot has bumped into something in cell (x, y): it is occupied for the time being."""
         height, width = self.states.shape
         if not (0 <= x < width and 0 <= y < height):
-            return Change(0, NO_BOX)
+            return GridChange(0, NO_BOX)
         self.log_odds[y, x] = max(self.log_odds[y, x], 0)
         self._marks[y, x] = TOUCHED
         return self._apply((x, y, x + 1, y + 1))
 
-    def stand(self, x: int, y: int) -> Change:
+    def stand(self, x: int, y: int) -> GridChange:
         """Note that the robot stands in cell (x, y): it is free."""
         self.log_odds[y, x] = min(self.log_odds[y, x], CLEAR - 1 - PASS)
         self._marks[y, x] = TOUCHED - 1
         return self._apply((x, y, x + 1, y + 1))
 
-    def close(self, x: int, y: int, reach: int, first: Vector, last: Vector) -> Change:
-        """Note that a scan from cell (x, y) has not entered the unknown cells in sight within `reach` cells.
+    def close(self, x: int, y: int, reach: int, first: Vector, last: Vector) -> GridChange:
+        """Note that a scan from cell (x, y) has not entered the unknown cells in sight.
 
-        Beams cross every open cell that near. After `NEAR_LOOKS` scans such a cell is a wall, until a beam crosses it:
-        walls right beside a robot are nearer than a laser can measure, or lost to the errors of poses. `first` and
-        `last` are the directions between which the laser sees, as vectors; both are (0, 0) if it sees all around.
+        They are at most `reach` rows and columns away, where beams cross every open cell. After `NEAR_LOOKS` scans such
+        a cell is a wall, until a beam crosses it: walls right beside a robot are nearer than a laser can measure, or
+        lost to the errors of poses. `first` and `last` are the directions between which the laser sees, as vectors;
+        both are (0, 0) if it sees all around.
         """
         known, box = _close(self.states, self._looks, x, y, reach, first, last)
         self.known_cells += known
-        return Change(known, box if known else NO_BOX)
+        return GridChange(known, box if known else NO_BOX)
 
-    def _apply(self, touched: Box) -> Change:
+    def _apply(self, touched: Box) -> GridChange:
         known, changed, box = _apply(self.log_odds, self.states, self._marks, touched)
         self.known_cells += known
-        return Change(changed, box if changed else NO_BOX)
+        return GridChange(changed, box if changed else NO_BOX)
 
 
 @kernel
@@ -119,7 +127,7 @@ def _mark_beams(marks: Int16Rows, x: int, y: int, ends: Int32Rows, hits: Bools) 
         while 0 <= column < width and 0 <= row < height:
             place = row * width + column
             if left == 0:
-                _mark(flat, place, STRIKE if hits[beam] else -1)
+                _mark(flat, place, HIT_VOTES if hits[beam] else -1)
                 break
             _mark(flat, place, -1)
             left -= 1
@@ -146,7 +154,7 @@ def _apply(log_odds: Int8Grid, states: Grid, marks: Int16Rows, box: Box) -> tupl
         for x in range(x0, x1):
             if marks[y, x] == 0:
                 continue
-            change = STRUCK if marks[y, x] >= TOUCHED else PASS
+            change = HIT if marks[y, x] >= TOUCHED else PASS
             marks[y, x] = 0
             before, state = int(np.int64(log_odds[y, x])), states[y, x]
             odds = min(MOST, max(LEAST, before + change))

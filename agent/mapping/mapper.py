@@ -29,12 +29,12 @@ from protocol.range_scans import (
     directions_between,
     smoothed,
 )
-from protocol.scans import Change, Scan, check_readings, draw
+from protocol.scans import GridChange, Scan, check_readings, draw
 
 WALL = "wall"
 """Why a move stopped short (`Sense.blocked`), if the robot bumped into something."""
 
-UNCHANGED = Change(0, NO_BOX)
+UNCHANGED = GridChange(0, NO_BOX)
 
 NEAR_M = 1.0
 """Distance in meters up to which beams of a scan cross every open cell in sight."""
@@ -51,7 +51,7 @@ class Mapper(ABC):
     """Number of cells that are known."""
 
     @abstractmethod
-    def add(self, sense: Sense) -> tuple[Scan | RangeScan, Change]:
+    def add(self, sense: Sense) -> tuple[Scan | RangeScan, GridChange]:
         """Add the scan of a step; return it, and the cells whose state or certainty has changed.
 
         ProtocolError if the readings do not fit the robot's laser; nothing has changed then.
@@ -71,7 +71,7 @@ class ExactMapper(Mapper):
         self.log_odds = self.states.view(np.int8)
         self._ray_table = ray_table(settings.body.range_cells, settings.beams)
 
-    def add(self, sense: Sense) -> tuple[Scan, Change]:
+    def add(self, sense: Sense) -> tuple[Scan, GridChange]:
         """Draw the readings."""
         readings = np.frombuffer(sense.readings, np.uint16).copy()
         check_readings(readings, self._ray_table)
@@ -89,7 +89,7 @@ class EstimatingMapper(Mapper):
         self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
         self._laser, self._resolution, self._radius = laser, settings.resolution, settings.body.radius_cells
 
-    def add(self, sense: Sense) -> tuple[RangeScan, Change]:
+    def add(self, sense: Sense) -> tuple[RangeScan, GridChange]:
         """Add the scan of a real laser."""
         scan = decode_range_scan(sense.range_scan, self._laser)
         check_cell("range scan", scan.x, scan.y, self.states)
@@ -111,7 +111,7 @@ class GivenMapper(Mapper):
         self.states = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         self.log_odds = np.zeros((settings.height, settings.width), np.int8)
 
-    def add(self, sense: Sense) -> tuple[RangeScan, Change]:
+    def add(self, sense: Sense) -> tuple[RangeScan, GridChange]:
         """Take the part of the map that the robot has sent, if any; the robot's own cell is free."""
         check_cell("map part", sense.x, sense.y, self.states)
         here = OwnMapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
@@ -122,7 +122,7 @@ class GivenMapper(Mapper):
         scan = RangeScan(place, sense.heading * TURN // HEADINGS, np.empty(0, np.uint16))
         return scan, change.joined(self._apply(here))
 
-    def _apply(self, part: OwnMapPart, except_for: Box | None = None) -> Change:
+    def _apply(self, part: OwnMapPart, except_for: Box | None = None) -> GridChange:
         """Take the known cells of a part, but those in a box; return which of them have changed."""
         x0, y0, x1, y1 = part.box
         states, log_odds = self.states[y0:y1, x0:x1], self.log_odds[y0:y1, x0:x1]
@@ -137,10 +137,10 @@ class GivenMapper(Mapper):
         states[rows, columns] = part.states[rows, columns]
         log_odds[rows, columns] = np.where(states[rows, columns] == OCCUPIED, MOST, LEAST)
         box = x0 + columns.min(), y0 + rows.min(), x0 + columns.max() + 1, y0 + rows.max() + 1
-        return Change(len(rows), (int(box[0]), int(box[1]), int(box[2]), int(box[3])))
+        return GridChange(len(rows), (int(box[0]), int(box[1]), int(box[2]), int(box[3])))
 
 
-def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: float) -> Change:
+def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: float) -> GridChange:
     """Add a scan to a map, with medians of its ranges; the robot's own cell is free.
 
     If most beams have a measurement, unknown cells nearby that no beam has entered may become walls
@@ -155,9 +155,14 @@ def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: fl
 
 
 def _near_cells(laser: Laser, resolution: float) -> int:
-    """Return the distance in cells up to which beams are at most half a cell apart, and `NEAR_M` at most."""
-    near = min(NEAR_M, laser.reach_mm / 1000) / resolution
-    return int(min(near, 0.5 / laser.spacing_rad)) if laser.beams > 1 else 0
+    """Return the distance in cells, along rows and columns, up to which beams cross every open cell; `NEAR_M` at most.
+
+    Up to there, beams are at most half a cell apart, and reach the corners of the square around the robot.
+    """
+    if laser.beams < 2:
+        return 0
+    to_corner = laser.reach_mm / 1000 / resolution
+    return max(0, int(min(NEAR_M / resolution, 0.5 / laser.spacing_rad, to_corner / math.sqrt(2) - 1)))
 
 
 def cell_ahead(sense: Sense, radius_cells: float) -> Cell:

@@ -1,7 +1,7 @@
 """Assignments of goals to robots, by the costs of ways and the utilities of goals.
 
-An assignment is an int64 array with the index of each robot's goal, -1 for none. Of equally good assignments the one
-with the first robot, then the first goal counts.
+An assignment is an int64 array with the index of each robot's goal, -1 for none. There is at least one robot, and at
+least one goal. Of equally good assignments the one with the first robot, then the first goal counts.
 """
 
 from __future__ import annotations
@@ -55,12 +55,13 @@ def hungarian(costs: Costs) -> Assignment:
     robots, goals = costs.shape
     if goals < robots:
         return iterative(costs)
-    far = 1e6 + 1e3 * np.nanmax(np.where(np.isfinite(costs), costs, 0.0))
+    is_reached = np.isfinite(costs)
+    far = 1e6 + 1e3 * costs[is_reached].max(initial=0.0)
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  slow to import, and few need it
 
-    rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, far))
+    rows, columns = linear_sum_assignment(np.where(is_reached, costs, far))
     given = np.full(robots, -1)
-    given[rows] = np.where(np.isfinite(costs[rows, columns]), columns, -1)
+    given[rows] = np.where(is_reached[rows, columns], columns, -1)
     return given
 
 

@@ -27,7 +27,7 @@ CANDIDATES = ("cells", "rfe", "anr", "breadth-first", "hops")
 SEARCHED = ("breadth-first", "hops")
 """Candidates that a search from the robot's cell finds, one cell each."""
 
-Edges = tuple[Cells, Int64s]
+Segments = tuple[Cells, Int64s]
 """Cells, segment after segment, and the number of cells of each segment."""
 
 LEAST_CELLS = 3
@@ -61,7 +61,7 @@ def searched_candidate(
     return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 
-def frontier_segments(cells: Cells) -> Edges:
+def frontier_segments(cells: Cells) -> Segments:
     """Split frontier cells into segments, as `components` does, without those of fewer than `LEAST_CELLS` cells.
 
     If all segments are that small, all stay: robots visit them last, so that no reachable cell stays unexplored.
@@ -81,7 +81,7 @@ def large_segments(cells: Cells) -> Cells:
     return large
 
 
-def components(cells: Cells) -> Edges:
+def components(cells: Cells) -> Segments:
     """Split frontier cells, at least one, into 8-connected components, in the order of their first cells.
 
     `scipy.ndimage.label` gives the same, but takes up to 100 times as long on large grids, which it scans in full.
@@ -114,14 +114,14 @@ def segment_clusters(cells: Cells, range_cells: float, at_least: int) -> Cluster
     Until there are `at_least` clusters (ANR), or every cell is one, the segment with the most cells per cluster gets
     another one.
     """
-    edges, sizes = frontier_segments(cells)
+    segments, sizes = frontier_segments(cells)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
     while counts.sum() < min(at_least, len(cells)):
         shares = np.where(counts < sizes, sizes / counts, 0.0)
         if not shares.any():
             break
         counts[np.argmax(shares)] += 1
-    return cluster_groups(edges, sizes, counts)
+    return cluster_groups(segments, sizes, counts)
 
 
 def mean_goals(grid: Grid, clusters: Clusters, is_reached: Bools, robots: Cells, range_cells: float) -> Cells:

@@ -29,10 +29,11 @@ class FieldParameters(NamedTuple):
 
     rho_robots: float
     rho_obstacles: float
-    """Range of repulsion of obstacles, meters, and before it that of robots, which is larger (Eq. 4)."""
+    """`rho_robots`, `rho_obstacles`: ranges of the repulsion by robots, and by obstacles, in meters; the first is at
+    least as large (Eq. 4)."""
     gain_robots: float
     gain_obstacles: float
-    """k of Eq. (2)."""
+    """`gain_robots`, `gain_obstacles`: k of Eq. (2) for each of them."""
     gain_frontier: float
     """k_att of Eq. (6)."""
     damping: float

@@ -18,7 +18,7 @@ from protocol.kernels import kernel
 BEAMS = 92
 """Beams that sample the unknown area in sight."""
 
-_LEAST_FLOOR, _MOST_FLOOR, _A_LENGTH = 0.13, 0.35, 0.3
+_LEAST_SHARE, _MOST_SHARE, _SHARE_PER_RANGE = 0.13, 0.35, 0.3
 """Share of the unknown area in sight of a frontier segment that turns out to be free and visible: least and largest
 share, and the increase for a segment as long as the sensor range. Measured on generated maps."""
 
@@ -58,9 +58,9 @@ def expected_gain(grid: Grid, cells: Cells, lengths: Int64s, range_cells: float)
     """
     around = ray_table(range_cells, BEAMS)
     unknown = _sum_unknown(grid, cells, around.cells, around.flat(grid.shape[1] + 2), around.start)
-    floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
-    shares: Floats = floor * unknown / (BEAMS * range_cells**2 / 2)
-    return shares
+    share = np.minimum(_LEAST_SHARE + _SHARE_PER_RANGE * lengths / range_cells, _MOST_SHARE)
+    gain: Floats = share * unknown / (BEAMS * range_cells**2 / 2)
+    return gain
 
 
 @kernel

@@ -34,11 +34,6 @@ def costs_between(floor: Floor, starts: Cells, goals: Cells) -> FloatRows:
     return GoalCosts(goals).search(floor, starts, goals, np.zeros(len(starts), np.int64))
 
 
-def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
-    """Return `costs_between` starts and goals, and between all pairs of goals, which are free cells."""
-    return GoalCosts(goals).among(floor, starts)
-
-
 class GoalCosts:
     """Costs of ways to the goals of one floor, each searched on first use: teams share most of their robots."""
 
@@ -60,7 +55,10 @@ class GoalCosts:
         return self._ways.take(np.fromiter(map(rows.__getitem__, keys), np.intp, len(keys)), axis=0)
 
     def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
-        """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""
+        """Return `costs_between` these starts and the goals, and between all pairs of goals, which are free cells.
+
+        Callers must not modify the costs between goals.
+        """
         if self._between is None:
             new = {key: at for at, key in enumerate(_keys(starts))}
             ways, self._between = self._search_among(floor, starts[list(new.values())])
@@ -74,7 +72,7 @@ class GoalCosts:
         self._ways = np.concatenate([self._ways, ways])
 
     def _search_among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
-        """Search `costs_among` of these starts and the goals.
+        """Search the costs that `among` returns.
 
         Lengths are symmetric, so each pair of goals is searched once. The outermost goals are searched first, as the
         remaining goals are then close together.

@@ -48,9 +48,12 @@ class PathPlanner:
         self._occ_max = occ_max
         self._cache = cache
         self._others: dict[float, PathPlanner] = {}
+        """The planners of robots of other radii."""
         self._fields: dict[Cell, Field] = {}
+        """The costs of ways from a cell to every cell."""
         self._ways: dict[tuple[Cell, Cell], Cells] = {}
         self._lengths: dict[tuple[Cell, Cell], float] = {}
+        """`_ways`, `_lengths`: best ways that searches found, and costs of best ways (`note_cost`), by both ends."""
 
     @cached_property
     def _laid_out(self) -> Floor:

@@ -63,8 +63,8 @@ def team_tours(task: Task) -> list[list[int]]:
 
 
 _Task = tuple[FloatRows, FloatRows, Floats, Floats, float, float, Floats]
-_Books = Annotated[NDArray[np.float64], "float64[:,:,::1]"]
-_Plan = tuple[Int64Rows, Int64s, _Books, Floats]
+_Sums = Annotated[NDArray[np.float64], "float64[:,:,::1]"]
+_Plan = tuple[Int64Rows, Int64s, _Sums, Floats]
 """Tours by robot and place, the number of goals of each, the sums of `_drive`, and the length of each tour."""
 _Ranks = tuple[int, int, int]
 
@@ -73,35 +73,35 @@ _Ranks = tuple[int, int, int]
 def _drive(robot: int, task: _Task, plan: _Plan) -> float:
     """Compute the arrival at each place of a tour, and sums over the later goals; return the cost of the goals.
 
-    `book[k]` has the arrival at place k, then sums of weight, latency weight, latency weight times arrival, and load.
-    The length of the tour includes its loads.
+    `sums[robot, k]` has the arrival at place k, then sums of weight, latency weight, latency weight times arrival, and
+    load. The length of the tour includes its loads.
     """
     starts, between, weights, latency_weights, _, _, loads = task
-    tours, counts, books, ends = plan
-    tour, count, book = tours[robot], counts[robot], books[robot]
+    tours, counts, sums, ends = plan
+    tour, count, row = tours[robot], counts[robot], sums[robot]
     arrival = 0.0
     total = 0.0
     for place in range(count):
         goal = tour[place]
         arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
-        book[place, 0] = arrival
+        row[place, 0] = arrival
         total += weights[goal] * arrival + latency_weights[goal] * arrival * arrival
-    book[count] = 0.0
+    row[count] = 0.0
     for place in range(count - 1, -1, -1):
         goal = tour[place]
-        book[place, 1] = book[place + 1, 1] + weights[goal]
-        book[place, 2] = book[place + 1, 2] + latency_weights[goal]
-        book[place, 3] = book[place + 1, 3] + latency_weights[goal] * book[place, 0]
-        book[place, 4] = book[place + 1, 4] + loads[goal]
-    ends[robot] = book[count - 1, 0] + book[0, 4] if count else 0.0
+        row[place, 1] = row[place + 1, 1] + weights[goal]
+        row[place, 2] = row[place + 1, 2] + latency_weights[goal]
+        row[place, 3] = row[place + 1, 3] + latency_weights[goal] * row[place, 0]
+        row[place, 4] = row[place + 1, 4] + loads[goal]
+    ends[robot] = row[count - 1, 0] + row[0, 4] if count else 0.0
     return total
 
 
 @kernel
-def _delay(books: _Books, robot: int, place: int, later: float) -> float:
+def _delay(sums: _Sums, robot: int, place: int, later: float) -> float:
     """Return the additional cost if a robot's arrival at all goals from `place` on increases by `later`."""
     return float(
-        later * (books[robot, place, 1] + 2.0 * books[robot, place, 3] + later * books[robot, place, 2])
+        later * (sums[robot, place, 1] + 2.0 * sums[robot, place, 3] + later * sums[robot, place, 2])
     )
 
 
@@ -133,7 +133,7 @@ def _longest(ends: Floats, ranks: _Ranks, one: int, other: int) -> float:
 def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     """Find the cheapest insertion of a goal: the cost, the robot (-1 for an unreachable goal) and the place."""
     starts, between, weights, latency_weights, longest_weight, length_weight, loads = task
-    tours, counts, books, ends = plan
+    tours, counts, sums, ends = plan
     least, best_robot, best_place = np.inf, -1, -1
     ranks = _rank(ends)
     for robot in range(len(counts)):
@@ -144,12 +144,12 @@ def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
             arrival = starts[robot, goal]
             if place:
                 before = tours[robot, place - 1]
-                arrival = books[robot, place - 1, 0] + between[before, goal]
+                arrival = sums[robot, place - 1, 0] + between[before, goal]
             cost = arrival * (weights[goal] + arrival * latency_weights[goal])
-            new_end = arrival + books[robot, 0, 4] + loads[goal]
+            new_end = arrival + sums[robot, 0, 4] + loads[goal]
             if place < counts[robot]:
-                later = arrival + between[goal, tours[robot, place]] - books[robot, place, 0]
-                cost += _delay(books, robot, place, later)
+                later = arrival + between[goal, tours[robot, place]] - sums[robot, place, 0]
+                cost += _delay(sums, robot, place, later)
                 new_end = end + later + loads[goal]
             cost += longest_weight * (max(others, new_end) - max(others, end)) + length_weight * (
                 new_end - end
@@ -207,7 +207,7 @@ def _swap_ends(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
     Takes and returns the number of attempts in a row that changed nothing; ends early when it reaches `attempts`.
     """
     starts, between, _, _, longest_weight, length_weight, _ = task
-    tours, counts, books, ends = plan
+    tours, counts, sums, ends = plan
     ranks = _rank(ends)
     for one in range(len(counts)):
         for other in range(one):
@@ -220,24 +220,24 @@ def _swap_ends(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
             now = max(others, end_one, end_other)
             best, best_one, best_other = -_LEAST, -1, -1
             for place in range(counts[one] + 1):
-                gone = books[one, place - 1, 0] if place else 0.0
+                gone = sums[one, place - 1, 0] if place else 0.0
                 for at in range(counts[other] + 1):
-                    run = books[other, at - 1, 0] if at else 0.0
-                    load_one = books[one, 0, 4] - books[one, place, 4] + books[other, at, 4]
-                    load_other = books[other, 0, 4] - books[other, at, 4] + books[one, place, 4]
+                    run = sums[other, at - 1, 0] if at else 0.0
+                    load_one = sums[one, 0, 4] - sums[one, place, 4] + sums[other, at, 4]
+                    load_other = sums[other, 0, 4] - sums[other, at, 4] + sums[one, place, 4]
                     cost, new_one, new_other = 0.0, gone + load_one, run + load_other
                     if at < counts[other]:
                         goal = tours[other, at]
                         step = between[tours[one, place - 1], goal] if place else starts[one, goal]
-                        later = gone + step - books[other, at, 0]
-                        cost += _delay(books, other, at, later)
-                        new_one = end_other + later - books[other, 0, 4] + load_one
+                        later = gone + step - sums[other, at, 0]
+                        cost += _delay(sums, other, at, later)
+                        new_one = end_other + later - sums[other, 0, 4] + load_one
                     if place < counts[one]:
                         goal = tours[one, place]
                         step = between[tours[other, at - 1], goal] if at else starts[other, goal]
-                        later = run + step - books[one, place, 0]
-                        cost += _delay(books, one, place, later)
-                        new_other = end_one + later - books[one, 0, 4] + load_other
+                        later = run + step - sums[one, place, 0]
+                        cost += _delay(sums, one, place, later)
+                        new_other = end_one + later - sums[one, 0, 4] + load_other
                     cost += longest_weight * (max(others, new_one, new_other) - now)
                     cost += length_weight * (new_one + new_other - end_one - end_other)
                     if cost < best:
@@ -265,7 +265,7 @@ def _exchange(one: int, place: int, other: int, at: int, task: _Task, plan: _Pla
 def _reverse_parts(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
     """Reverse the best part of each tour, if the cost decreases; arguments and result as those of `_swap_ends`."""
     starts, between, weights, latency_weights, longest_weight, length_weight, _ = task
-    tours, counts, books, ends = plan
+    tours, counts, sums, ends = plan
     for robot in range(len(counts)):
         if idle == attempts:
             break
@@ -282,16 +282,16 @@ def _reverse_parts(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
                     if at < final:
                         arrival += between[tours[robot, at + 1], goal]
                     elif first:
-                        arrival = books[robot, first - 1, 0] + between[tours[robot, first - 1], goal]
+                        arrival = sums[robot, first - 1, 0] + between[tours[robot, first - 1], goal]
                     else:
                         arrival = starts[robot, goal]
-                    before = books[robot, at, 0]
+                    before = sums[robot, at, 0]
                     cost += (arrival - before) * (weights[goal] + latency_weights[goal] * (arrival + before))
-                new_end = arrival + books[robot, 0, 4]
+                new_end = arrival + sums[robot, 0, 4]
                 if final + 1 < counts[robot]:
-                    following = books[robot, final + 1, 0]
+                    following = sums[robot, final + 1, 0]
                     later = arrival + between[tours[robot, first], tours[robot, final + 1]] - following
-                    cost += _delay(books, robot, final + 1, later)
+                    cost += _delay(sums, robot, final + 1, later)
                     new_end = end + later
                 cost += longest_weight * (max(others, new_end) - max(others, end)) + length_weight * (
                     new_end - end

@@ -1,12 +1,15 @@
 """Local conflict resolution: a robot gets past teammates and people in its way without communication.
 
-The robot waits for some steps. Then it drives around all cells in which teammates have stopped it lately. Without this
-memory, a robot between two teammates would turn back and forth forever. If there is no other way, or a much longer
-one, the robot yields: it drives to a random cell near by, each time up to twice as far. If teammates stop it repeatedly
-in one cell, it chooses another target.
+The robot waits for some steps. Robots that take several steps to leave a cell wait for a random time: two of them would
+stop, wait, and turn aside in the same steps, again and again. Then the robot drives around all cells in which teammates
+have stopped it lately. Without this memory, a robot between two teammates would turn back and forth forever. If there
+is no other way, or a much longer one, the robot yields: it drives to a random cell near by, each time up to twice as
+far. If teammates stop it repeatedly in one cell, it chooses another target.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -19,7 +22,7 @@ MOBILE = ("robot", "person")
 """Obstacles that may move out of the way (`protocol.messages.Sense.blocked`)."""
 
 WAIT = 2
-"""Steps for which the robot waits first."""
+"""Steps for which the robot waits first, at least."""
 
 MEMORY = 20
 """Steps for which the robot avoids a cell in which a teammate stopped it."""
@@ -32,21 +35,35 @@ GIVE_UP = 10
 
 
 class YieldBehavior:
-    """Yield state of one robot; `seed` and `robot` draw the yield cells, `near` is the first distance in cells."""
+    """Yield state of one robot.
 
-    def __init__(self, seed: int, robot: int, near: float) -> None:
+    `seed` and `robot` draw the yield cells, and how long a slow robot waits. `near` is the first yield distance in
+    cells, `speed` is in cells per step.
+    """
+
+    def __init__(self, seed: int, robot: int, near: float, speed: float = 1.0) -> None:
         self.waited = 0
         """Consecutive steps in which a teammate has stopped the robot."""
         self._seed = seed
         self._robot = robot
         self._near = near
+        self._cell_steps = math.ceil(1 / speed)
+        """Steps in which the robot leaves a cell."""
+        self._wait = WAIT
+        """Steps for which the robot waits this time."""
         self._at: Cell | None = None
         self._stops = 0
+        """How often the robot was stopped since it came to its cell, `_at`."""
         self._held: dict[Cell, int] = {}
+        """Cells in which a teammate stopped it, and the step of the last time."""
         self._doublings = 0
+        """How often the yield distance was doubled for this target."""
 
     def note(self, route: Route, here: Cell, step: int, *, stopped: bool) -> None:
         """Take the result of the last move along `route`."""
+        if stopped and not self.waited and self._cell_steps > 1:
+            random = keyed_random(self._seed, "step aside", self._robot, step)
+            self._wait = WAIT + int(random.integers(2 * self._cell_steps))
         self.waited = self.waited + 1 if stopped else 0
         self._stops = (self._stops if here == self._at else 0) + stopped
         self._at = here
@@ -56,7 +73,7 @@ class YieldBehavior:
     @property
     def has_waited(self) -> bool:
         """Whether the robot has waited long enough, and should drive another way."""
-        return self.waited >= WAIT
+        return self.waited >= self._wait
 
     def gives_up(self) -> bool:
         """Return whether to choose another target; a true result resets the count of stops."""

@@ -11,7 +11,7 @@ from agent.predictive.history import DecodedUpdate
 from agent.predictive.stream import Stream
 from protocol.grid import Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 AnyStream = TypeVar("AnyStream", bound=Stream)
 
@@ -42,7 +42,7 @@ class Author(ABC, Generic[AnyStream]):
         return False
 
     @abstractmethod
-    def add(self, scan: Scan | RangeScan, change: Change) -> None:
+    def add(self, scan: Scan | RangeScan, change: GridChange) -> None:
         """Add the changes of a step, which may be none; call it in each step."""
 
     @abstractmethod

@@ -14,7 +14,7 @@ from protocol.boxes import Box, bounding_box
 from protocol.grid import UNKNOWN, Cell, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 ENOUGH_CELLS = 14
 """New cells that are sent at once; fewer may wait."""
@@ -56,7 +56,7 @@ class ScanAuthor(Author[ScanStream]):
         """Whether the last update ended at its limit, so that later changes do not belong to it."""
         return self.stream.is_narrow and self.has_changes
 
-    def add(self, scan: Scan | RangeScan, change: Change) -> None:
+    def add(self, scan: Scan | RangeScan, change: GridChange) -> None:
         """Add a scan if it has changed the grid."""
         if change.cells:
             self._pending.poses.append((scan.x, scan.y))

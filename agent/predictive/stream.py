@@ -139,9 +139,8 @@ class Stream(ABC):
         assert self._before is not None
         vars(self).update(self._before)
         for places, states in reversed(self._overwritten):
-            self.grid.reshape(-1)[places[::-1]] = states[
-                ::-1
-            ]  # if a cell was written twice, the first value counts
+            # of a cell that was written twice, the first value counts
+            self.grid.reshape(-1)[places[::-1]] = states[::-1]
         self._before, self._overwritten = None, []
 
     def _begin(self) -> None:

@@ -23,7 +23,7 @@ from agent.predictive.tile_stream import TileStream
 from protocol.boxes import Box
 from protocol.grid import Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 QUIET_STEPS = 3
 """Steps without a change after which a tile is encoded."""
@@ -76,7 +76,7 @@ class TileAuthor(Author[TileStream]):
         """Whether tiles are waiting."""
         return bool(self._waits().any())
 
-    def add(self, scan: Scan | RangeScan, change: Change) -> None:
+    def add(self, scan: Scan | RangeScan, change: GridChange) -> None:
         """Let the tiles near changed cells wait."""
         self._step += 1
         if self._pose != (scan.x, scan.y):

@@ -1,4 +1,4 @@
-"""Exploration strategies: they choose the next target of a robot. Each file implements one paper.
+"""Exploration strategies: they choose the next target of a robot. Most files implement a paper each.
 
 Strategies combine the algorithms of `agent.planning`. Begin with `meier.py`, the shortest. `base.py` is the interface,
 `targets.py` the common part of all strategies that drive to targets, and `registry.py` finds a strategy by its name. A

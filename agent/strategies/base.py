@@ -13,10 +13,11 @@ import numpy as np
 from agent.settings import Settings
 from agent.strategies.options import read_options
 from protocol.arrays import NO_CELLS, Cells
-from protocol.grid import UNKNOWN, Cell, Grid
+from protocol.grid import FREE, UNKNOWN, Cell, Grid
 
-_FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
-"""The four neighbors (dx, dy), and the heading toward each in eighths of a turn."""
+_STRAIGHT = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
+_DIAGONAL = ((1, 1, 1), (-1, 1, 3), (-1, -1, 5), (1, -1, 7))
+"""The straight and the diagonal neighbors (dx, dy), and the heading toward each in eighths of a turn."""
 
 FULL_TURN = 360.0
 """Degrees."""
@@ -88,15 +89,17 @@ class Situation:
         """The robot's cell."""
         return self.x, self.y
 
-    def facing_the_unknown(self) -> int:
-        """Return the heading toward an unknown neighbor of the robot's cell, for a laser with a limited field of view.
+    def facing_the_unknown(self, *, diagonally: bool = False) -> int:
+        """Return the heading toward an unknown 4-neighbor of the robot's cell, for a laser of a limited field of view.
 
-        The current heading if no neighbor is unknown.
+        The current heading if there is none. With `diagonally`, else toward an unknown diagonal neighbor with a free
+        cell beside it.
         """
-        height, width = self.grid.shape
-        for dx, dy, heading in _FACES:
+        grid, (height, width) = self.grid, self.grid.shape
+        for dx, dy, heading in (*_STRAIGHT, *_DIAGONAL) if diagonally else _STRAIGHT:
             x, y = self.x + dx, self.y + dy
-            if 0 <= x < width and 0 <= y < height and self.grid[y, x] == UNKNOWN:
+            is_unknown = 0 <= x < width and 0 <= y < height and grid[y, x] == UNKNOWN
+            if is_unknown and (heading % 2 == 0 or FREE in (grid[self.y, x], grid[y, self.x])):
                 return heading
         return self.heading
 
@@ -116,7 +119,8 @@ class Decision:
     explored: bool = False
     """Nothing is left to explore."""
     stalled: bool = False
-    """Frontiers are left, but the robot cannot approach them."""
+    """The robot has made no progress for long: frontiers are left, for it or for smaller robots, that it does not get
+    nearer to. A run ends when all robots are stalled."""
     look: bool = True
     """Whether the scanner works on the way."""
     publish: bool = True
@@ -159,6 +163,8 @@ class Strategy(ABC):
     """Whether map changes wait until a decision publishes them."""
     leads: bool = False
     """Whether this robot leads; broadcast with its pose."""
+    has_diagonal_frontier: bool = False
+    """Whether a free cell also counts as a frontier cell if only a diagonal neighbor is unknown."""
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         self.options: Any = self.check(options)
@@ -192,7 +198,9 @@ class Strategy(ABC):
         """
         if situation.blocked == "wall" and self.settings.body.field_of_view < FULL_TURN:
             return (situation.heading + 1) % 8
-        return situation.facing_the_unknown() if is_there else situation.heading
+        if not is_there:
+            return situation.heading
+        return situation.facing_the_unknown(diagonally=self.has_diagonal_frontier)
 
     @abstractmethod
     def decide(self, situation: Situation) -> Decision:

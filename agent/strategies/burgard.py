@@ -82,6 +82,7 @@ class CoordinatedStrategy(TeamStrategy):
         self.forwards_state = self.options.sub_team == "connected"
         self._assigned = 0
         self._traveled: dict[int, float] = {}
+        """`_assigned`, `_traveled`: the step of the last assignment, and the cells that each robot had driven then."""
 
     def is_due(self, situation: Situation) -> bool:
         """Return whether to replan: as `TeamStrategy`, and after a time or a distance."""

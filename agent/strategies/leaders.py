@@ -100,10 +100,13 @@ class FieldStrategy(Strategy):
         )
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
+        body = settings.body
+        self._yielding = YieldBehavior(settings.seed, settings.robot, body.range_cells, body.speed)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
+        """`_anchor`, `_anchor_step`, `_known`: the robot's place, the step, and the known cells of its planning grid
+        when it last made progress (`_is_stalled`)."""
         self._poses: dict[int, Cell] = {}
         """The cells of the teammates that were in range at the last decision."""
         self._escape: Escape | None = None
@@ -144,13 +147,14 @@ class FieldStrategy(Strategy):
         robots, drifts = self._teammates(situation)
         if situation.blocked:
             self._velocity = np.zeros(2)
+        stalled = self._is_stalled(situation, at)
         if not len(frontier):
             return Decision(
                 explored=True,
                 heading=situation.heading,
+                stalled=stalled,
                 status="idle: no reachable frontier on the planning grid",
             )
-        stalled = self._is_stalled(situation, at)
         self.leads = self.is_leader(situation)
         escapes = self._escape is not None and self._escape.is_needed(at, situation.step, planner, frontier)
         if self.leads or escapes:

@@ -152,12 +152,18 @@ class Repairmen(TeamStrategy):
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
         self._detour_until = 0
+        """The step in which a detour around a teammate ends."""
         self._known = 0
+        """Known cells of the planning grid in the last step."""
         self._lengths = np.empty(0, np.int64)
         self._between = np.empty((0, 0))
+        """`_lengths`, `_between`: the number of cells of each goal's segment, and the costs between goals."""
         self._tour: list[int] = []
+        """This robot's tour, as indices of the goals."""
         self._next = NO_CELLS, np.empty(0, np.bool_)
+        """The first goals of the tour, and which of them are small frontiers."""
         self._observed_in_vain: set[Cell] = set()
+        """Targets of which a scan from a viewpoint showed nothing new."""
         self._given_up: dict[int, int] = {}
         """By teammate that the robot no longer relies on: the step of its last received target at that time."""
         self._members: tuple[Situation | None, int, dict[int, Cell]] = None, 0, {}
@@ -367,12 +373,12 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float, robots: in
     If there are fewer than `robots`, long segments get more of them. With each, return the number of cells of its
     segment, shape (n,). `range_cells` is the sensor range.
     """
-    edges, sizes = components(frontier)
+    segments, sizes = components(frontier)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
     while counts.sum() < robots and (sizes / counts).max() > max(1.0, SPREAD * range_cells):
         counts[np.argmax(sizes / counts)] += 1
-    cells, edge, _ = cluster_groups(edges, sizes, counts)
-    lengths = sizes[edge]
+    cells, segment, _ = cluster_groups(segments, sizes, counts)
+    lengths = sizes[segment]
     gap = GAP * range_cells
     stays = thin_out(grid, cells, lengths, gap)
     while len(stays) > MAX_GOALS and gap < range_cells:
@@ -413,7 +419,8 @@ def _prefer(ways: FloatRows, goals: Cells, targets: Cells, same: float, less: fl
 def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> None:
     """Send robots without a tour, those of which the first goal is -1, after their teammates.
 
-    Each follows to the nearest one of those goals to which the fewest robots drive and whose worth is at least `least`.
+    Each follows to the nearest one of those goals to which the fewest robots drive. Goals count that it can reach, and
+    whose worth is at least `least`.
     """
     headed = np.zeros(len(worth), np.int64)
     for goal in firsts:
@@ -425,8 +432,9 @@ def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> Non
         best = -1
         for goal in range(len(worth)):
             rank, least_rank = (headed[goal], ways[robot, goal]), (headed[best], ways[robot, best])
-            if worth[goal] >= least and (best < 0 or rank < least_rank):
+            is_candidate = worth[goal] >= least and np.isfinite(ways[robot, goal])
+            if is_candidate and (best < 0 or rank < least_rank):
                 best = goal
-        if best >= 0 and np.isfinite(ways[robot, best]):
+        if best >= 0:
             firsts[robot] = best
             headed[best] += 1

@@ -113,15 +113,20 @@ class TargetStrategy(Strategy):
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
         self.defers_publication = self.options.share == "at-target"
+        self.has_diagonal_frontier = self.options.candidates == "hops"
         self.target: Cell | None = None
+        """The goal that the robot has chosen; None if it has none."""
         self._route = Route()
         self._goal: Cell | None = None
-        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
+        """The end of the route: the target, a viewpoint (`stand`), or the depot."""
+        body = settings.body
+        self._yielding = YieldBehavior(settings.seed, settings.robot, body.range_cells, body.speed)
         self._homing = Homing(settings)
         self._scanner_steps = 0
         """Steps in which the scanner has worked since the robot came to its cell, `_at`."""
         self._at: Cell | None = None
         self._scans = True
+        """Whether the scanner works since the last decision."""
         self._cache = NO_CACHE
 
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
@@ -163,7 +168,7 @@ class TargetStrategy(Strategy):
     def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
         """Return whether a robot in cell `at` is done with its target."""
         if self.options.replan == "at-once":
-            is_left = is_wide_frontier if self.options.candidates == "hops" else is_frontier
+            is_left = is_wide_frontier if self.has_diagonal_frontier else is_frontier
             return not is_left(situation.grid, *target)
         return target == at
 

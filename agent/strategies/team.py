@@ -61,7 +61,9 @@ class TeamStrategy(TargetStrategy):
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
         self._spent: set[tuple[int, Cell]] = set()
+        """Members that are done with their targets, with these targets, as of the last call of `is_due`."""
         self._waited = 0
+        """Steps without a target since the last one, as far as `is_due` was called."""
         self._alike = len({body.radius_cells for body in settings.bodies}) == 1
         """Whether all robots have the same radius."""
 

@@ -56,12 +56,13 @@ class FrameId(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Recording:
-    """What one process of a robot recorded."""
+class RobotRecord:
+    """What one start of a robot in the field recorded, with the frames on its radio."""
 
     record: FieldRecord
     sent: dict[FrameId, FrameLine]
     received: dict[FrameId, FrameLine]
+    """`sent`, `received`: the frames that this robot sent, and that it received from others."""
     packets: dict[FrameId, tuple[bytes, bytes]]
     """Broadcast and gossip of each frame."""
 
@@ -101,12 +102,12 @@ def merge(folders: Sequence[Path | str] | Path | str, out: Path | str, *, view: 
     out = Path(out)
     run_directory.check_free(out)
     named = [folders] if isinstance(folders, str | Path) else folders
-    recordings = [read_recording(each) for folder in named for each in starts_in(Path(folder))]
-    if not recordings:
+    robot_records = [read_robot_record(each) for folder in named for each in starts_in(Path(folder))]
+    if not robot_records:
         raise ValueError("folders is empty: name the record directory of at least one robot")
-    offsets, error = align(recordings)
-    frames = join(recordings, offsets)
-    starts = [FieldStart(each.record, offset) for each, offset in zip(recordings, offsets, strict=True)]
+    offsets, error = align(robot_records)
+    frames = join(robot_records, offsets)
+    starts = [FieldStart(each.record, offset) for each, offset in zip(robot_records, offsets, strict=True)]
     timeline = Timeline.of(starts, [frame.time_ns for frame in frames.values()])
     logs = _logs(frames, timeline)
     plan, records = assemble(starts, timeline, {step: log.ledger_rows(step) for step, log in logs.items()})
@@ -114,7 +115,7 @@ def merge(folders: Sequence[Path | str] | Path | str, out: Path | str, *, view: 
         "frames": len(frames),
         "frames_lost": sum(not each.receivers for each in frames.values()),
         "clock_error_s": error / SECOND if error < UNKNOWN else None,
-        "isolated_robots": isolated(recordings),
+        "isolated_robots": isolated(robot_records),
     }
     run_directory.create(out, plan)
     failures = _write_capture(out / CAPTURE, plan, logs)
@@ -148,13 +149,13 @@ def _write_capture(path: Path, plan: Plan, logs: dict[int, FrameLog]) -> list[OS
         return [] if file.failure is None else [file.failure]
 
 
-def read_recording(folder: Path) -> Recording:
+def read_robot_record(folder: Path) -> RobotRecord:
     """Read what a robot recorded; ValueError if there is nothing, or capture and frames do not fit each other."""
     record = read_field_record(folder)
     lines = read_frames(folder)
     if others := {line.robot for line in lines} - {record.robot}:
         raise ValueError(f"{folder}: has frames that robot {min(others)} recorded, not robot {record.robot}")
-    recording = Recording(record, {}, {}, {})
+    robot_record = RobotRecord(record, {}, {}, {})
     with open_file(folder / CAPTURE) as file:
         try:
             captured = iter(list(capture.read(pcapng.Reader(file))))
@@ -170,27 +171,27 @@ def read_recording(folder: Path) -> Recording:
             raise ValueError(
                 f"{folder}: frame {line.counter} of robot {line.sender} is not the one in the capture"
             )
-        recording.packets[frame] = (
+        robot_record.packets[frame] = (
             found[True].payload if True in found else b"",
             found[False].payload if False in found else b"",
         )
-        (recording.sent if line.sender == recording.robot else recording.received)[frame] = line
-    return recording
+        (robot_record.sent if line.sender == robot_record.robot else robot_record.received)[frame] = line
+    return robot_record
 
 
-def align(recordings: Sequence[Recording]) -> tuple[list[int], int]:
-    """Return what to add to the times of each recording, and the bound of the error, all in nanoseconds.
+def align(robot_records: Sequence[RobotRecord]) -> tuple[list[int], int]:
+    """Return what to add to the times of each record, and the bound of the error, all in nanoseconds.
 
-    The first recording's clock is the common one. Clocks of robots that exchanged no frames agree by the time of day.
+    The first record's clock is the common one. Clocks of robots that exchanged no frames agree by the time of day.
     """
 
     @cache
     def difference(one: int, other: int) -> tuple[int, int] | None:
-        return _clock_difference(recordings[one], recordings[other])
+        return _clock_difference(robot_records[one], robot_records[other])
 
     offsets, bounds = {0: 0}, {0: 0}
-    while len(offsets) < len(recordings):
-        missing = [at for at in range(len(recordings)) if at not in offsets]
+    while len(offsets) < len(robot_records):
+        missing = [at for at in range(len(robot_records)) if at not in offsets]
         pairs = [
             (bounds[known] + apart[1], other, offset - apart[0])
             for known, offset in offsets.items()
@@ -198,24 +199,24 @@ def align(recordings: Sequence[Recording]) -> tuple[list[int], int]:
             if (apart := difference(known, other)) is not None
         ]
         if not pairs:
-            utc = recordings[0].record.setup.utc_ns
-            pairs = [(UNKNOWN, missing[0], recordings[missing[0]].record.setup.utc_ns - utc)]
+            utc = robot_records[0].record.setup.utc_ns
+            pairs = [(UNKNOWN, missing[0], robot_records[missing[0]].record.setup.utc_ns - utc)]
         bound, other, offset = min(pairs)
         offsets[other], bounds[other] = offset, bound
-    return [offsets[at] for at in range(len(recordings))], max(bounds.values())
+    return [offsets[at] for at in range(len(robot_records))], max(bounds.values())
 
 
-def join(recordings: Sequence[Recording], offsets: Sequence[int]) -> dict[FrameId, Joined]:
+def join(robot_records: Sequence[RobotRecord], offsets: Sequence[int]) -> dict[FrameId, Joined]:
     """Return all frames on the common clock, in the order of time; ValueError if two differ that have one number."""
     frames: dict[FrameId, Joined] = {}
-    for recording, offset in zip(recordings, offsets, strict=True):
-        for lines, was_sent in ((recording.sent, True), (recording.received, False)):
+    for robot_record, offset in zip(robot_records, offsets, strict=True):
+        for lines, was_sent in ((robot_record.sent, True), (robot_record.received, False)):
             for number, line in lines.items():
                 time = line.time_ns + offset
-                frame = frames.setdefault(number, Joined(time, line.bytes, recording.packets[number]))
-                if frame.packets != recording.packets[number]:
+                frame = frames.setdefault(number, Joined(time, line.bytes, robot_record.packets[number]))
+                if frame.packets != robot_record.packets[number]:
                     raise ValueError(
-                        f"{recording.record.folder}: frame {number.counter} of session {number.session} of robot "
+                        f"{robot_record.record.folder}: frame {number.counter} of session {number.session} of robot "
                         f"{number.sender} differs from that of another record: not one mission; if the session file of "
                         f"robot {number.sender} was lost between two starts, leave out the records of one of them"
                     )
@@ -223,17 +224,17 @@ def join(recordings: Sequence[Recording], offsets: Sequence[int]) -> dict[FrameI
                     frame.time_ns = time if was_sent else min(time, frame.time_ns)
                 frame.was_sent |= was_sent
                 if not was_sent:
-                    frame.receivers.add(recording.robot)
+                    frame.receivers.add(robot_record.robot)
     return dict(sorted(frames.items(), key=lambda item: (item[1].time_ns, item[0])))
 
 
-def isolated(recordings: Sequence[Recording]) -> list[int]:
+def isolated(robot_records: Sequence[RobotRecord]) -> list[int]:
     """Return the robots that exchanged no frame with another one, as far as their records show it."""
-    heard = {(each.robot, frame.sender) for each in recordings for frame in each.received}
-    return sorted({each.robot for each in recordings}.difference(*heard))
+    heard = {(each.robot, frame.sender) for each in robot_records for frame in each.received}
+    return sorted({each.robot for each in robot_records}.difference(*heard))
 
 
-def _clock_difference(one: Recording, other: Recording) -> tuple[int, int] | None:
+def _clock_difference(one: RobotRecord, other: RobotRecord) -> tuple[int, int] | None:
     """Return how far the other clock is ahead, and the bound of the error; None without a frame between them.
 
     If frames arrived in one direction only, the fastest one counts as if it had no delay.
@@ -283,7 +284,7 @@ def _limits(delays: Delays, times: Sequence[int]) -> list[int]:
     return limits
 
 
-def _times(sender: Recording, receiver: Recording) -> list[tuple[int, int]]:
+def _times(sender: RobotRecord, receiver: RobotRecord) -> list[tuple[int, int]]:
     """Return when each frame between two robots was sent, and received, by the clock of each."""
     return [
         (line.time_ns, receiver.received[number].time_ns)

@@ -17,7 +17,7 @@ from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario.plan import Plan
 from protocol.keyed_random import keyed_random
 from protocol.range_scans import TURN, UNIT, Laser, RangeScan, beam_ends, smoothed
-from protocol.scans import Change, draw
+from protocol.scans import GridChange, draw
 from worldsim.range_laser import RangeLaser
 from worldsim.sensor_options import LaserOptions
 
@@ -72,7 +72,7 @@ def _replay(
     held, target = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     all_tiles, changed = np.ones(tiles_of(*shape), np.uint8), np.zeros(tiles_of(*shape), np.uint8)
 
-    def add(scan: RangeScan) -> Change:
+    def add(scan: RangeScan) -> GridChange:
         change = estimator.add(*scan.place, *beam_ends(smoothed(scan, laser), laser, resolution))
         return change.joined(estimator.stand(scan.x, scan.y))
 

@@ -16,7 +16,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from protocol.grid import Cell, Grid, RayTable, ray_table
 from protocol.messages import Sense
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 from worldsim import generators
 from worldsim.maps import Map
 
@@ -33,7 +33,7 @@ class Moment:
 
     grid: Grid
     scan: Scan
-    change: Change
+    change: GridChange
 
     @property
     def cell(self) -> Cell:

@@ -18,7 +18,7 @@ from agent.encodings.catalog import ENCODINGS
 from deploy.scenario.plan import Plan
 from protocol.boxes import box_of
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 from worldsim.laser import cast
 
 
@@ -51,7 +51,9 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
         name = f"false-{lie}-{encoding.name}"
         _false: Grid | None = None
 
-        def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        def encode_changes(
+            self, own: Grid, scan: Scan, change: GridChange, *, delivered: bool
+        ) -> list[bytes]:
             """Encode the changes of the false grid; the cells around the robot are true."""
             del change
             if self._false is None:
@@ -71,7 +73,7 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
             entries: list[bytes] = super().encode_changes(
                 self._false,
                 seen,
-                Change(int(np.count_nonzero(changed)), box_of(changed)),
+                GridChange(int(np.count_nonzero(changed)), box_of(changed)),
                 delivered=delivered,
             )
             return entries

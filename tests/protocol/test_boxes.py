@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, bounding_box, union, whole_grid
-from protocol.scans import Change
+from protocol.scans import GridChange
 
 SIDE = 60
 corners = st.tuples(*[st.integers(-2, SIDE)] * 2, *[st.integers(1, 12)] * 2)
@@ -42,6 +42,6 @@ def test_the_bounding_box_contains_all_boxes() -> None:
 
 
 def test_a_change_without_cells_has_no_box() -> None:
-    assert Change(0, (9, 9, 0, 0)).boxes.tolist() == []
-    assert Change(2, (3, 4, 5, 6)).boxes.tolist() == [[3, 4, 5, 6]]
+    assert GridChange(0, (9, 9, 0, 0)).boxes.tolist() == []
+    assert GridChange(2, (3, 4, 5, 6)).boxes.tolist() == [[3, 4, 5, 6]]
     assert whole_grid((4, 7)).tolist() == [[0, 0, 7, 4]]

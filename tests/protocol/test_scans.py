@@ -17,7 +17,7 @@ from protocol.packets import AnyPacket, Fragment
 from protocol.scans import (
     HIT,
     NONE,
-    Change,
+    GridChange,
     Readings,
     Scan,
     check_readings,
@@ -51,7 +51,7 @@ def random_grid(seed: int, states: tuple[int, ...] = (UNKNOWN, FREE, OCCUPIED)) 
     return rng.choice(np.array(states, np.uint8), (height, width))
 
 
-def plainly_drawn(grid: Grid, laid: RayTable, x: int, y: int, readings: Readings) -> tuple[Grid, Change]:
+def plainly_drawn(grid: Grid, laid: RayTable, x: int, y: int, readings: Readings) -> tuple[Grid, GridChange]:
     """Claim by claim: the robot's own cell, then each beam from near to far."""
     claims = [(x, y, FREE)]
     for (begin, end), reading in zip(pairwise(laid.start.tolist()), readings.tolist(), strict=True):
@@ -69,9 +69,9 @@ def plainly_drawn(grid: Grid, laid: RayTable, x: int, y: int, readings: Readings
             result[cy, cx] = state
             changed.append((cx, cy))
     if not changed:
-        return result, Change(0, (width, height, 0, 0))
+        return result, GridChange(0, (width, height, 0, 0))
     xs, ys = zip(*changed, strict=True)
-    return result, Change(len(changed), (min(xs), min(ys), max(xs) + 1, max(ys) + 1))
+    return result, GridChange(len(changed), (min(xs), min(ys), max(xs) + 1, max(ys) + 1))
 
 
 def test_a_scan_of_360_beams_has_724_bytes() -> None:
@@ -185,7 +185,7 @@ def test_a_reading_has_the_number_of_crossed_cells_and_the_hit() -> None:
 def test_a_change_has_the_box_of_the_changed_cells() -> None:
     grid = np.zeros((9, 9), np.uint8)
     change = draw(grid, ray_table(2.0, 4), 4, 5, np.array([2, 1 | HIT, HIT, 0], np.uint16))
-    assert change == Change(6, (3, 5, 7, 8))
+    assert change == GridChange(6, (3, 5, 7, 8))
 
 
 @given(st.binary(min_size=1, max_size=800))
@@ -218,7 +218,7 @@ def test_cells_driven_over_become_free_and_no_known_cell_changes() -> None:
     driven = np.array([[1, 1], [2, 1], [3, 2], [3, 2], [1, 0], [4, 1], [1, -1]], np.int32)
     change = draw(grid, FAN, 1, 1, blind, driven)
     assert grid.tolist() == [[0, 1, 0, 0], [0, 1, 2, 0], [0, 0, 0, 1]]
-    assert change == Change(2, (1, 0, 4, 3))
+    assert change == GridChange(2, (1, 0, 4, 3))
     assert draw(grid, FAN, 1, 1, blind, driven).cells == 0
 
 

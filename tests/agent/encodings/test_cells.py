@@ -16,7 +16,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packet_codec import encode
 from protocol.packets import Fragment, Save
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 from tests.agent.encodings.arrival import LATE
 
 WIDTH, HEIGHT = 40, 30
@@ -30,14 +30,14 @@ def settings_of(robot: int) -> Settings:
     )  # fmt: skip
 
 
-def changed(rng: np.random.Generator, own: Grid) -> Change:
+def changed(rng: np.random.Generator, own: Grid) -> GridChange:
     """Change a box of a grid at random, back to unknown too."""
     x0, y0 = int(rng.integers(WIDTH - 1)), int(rng.integers(HEIGHT - 1))
     x1, y1 = int(rng.integers(x0 + 1, WIDTH + 1)), int(rng.integers(y0 + 1, HEIGHT + 1))
     box = own[y0:y1, x0:x1]
     which = rng.random(box.shape) < rng.choice([0.02, 0.9])
     box[which] = rng.integers(0, 3) if rng.random() < 0.5 else rng.integers(0, 3, box.shape)[which]
-    return Change(box.size, (x0, y0, x1, y1))
+    return GridChange(box.size, (x0, y0, x1, y1))
 
 
 NO_SCAN = Scan(0, 0, np.zeros(36, np.uint16))
@@ -66,7 +66,7 @@ def test_reports_take_precedence_on_the_shared_map_and_sight_completes_it() -> N
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[3, 4:9] = OCCUPIED
     receiver.apply(
-        0, b"".join(maker.encode_changes(own, NO_SCAN, Change(5, (4, 3, 9, 4)), delivered=True)), **LATE
+        0, b"".join(maker.encode_changes(own, NO_SCAN, GridChange(5, (4, 3, 9, 4)), delivered=True)), **LATE
     )
     sight = np.zeros_like(own)
     sight[3, 7:12] = FREE
@@ -80,7 +80,7 @@ def test_unchanged_cells_are_not_sent_and_the_self_explored_grid_takes_precedenc
     maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[3, 4:9] = OCCUPIED
-    change = Change(5, (4, 3, 9, 4))
+    change = GridChange(5, (4, 3, 9, 4))
     packets = maker.encode_changes(own, NO_SCAN, change, delivered=True)
     assert packets
     assert maker.encode_changes(own, NO_SCAN, change, delivered=True) == []
@@ -143,6 +143,20 @@ def test_a_malformed_patch_is_rejected_and_changes_nothing(wrong: str) -> None:
         receiver.apply(0, encode([Save()]), **LATE)
     receiver.apply(0, encode([Fragment(patch)]), **LATE)
     assert receiver.merge(nothing)[:2, :2].all()
+
+
+def test_rejected_frames_do_not_count_as_entries_of_their_author() -> None:
+    # Robot 2 forges entries of robot 0 in step 5: the first one is possible, but not the second.
+    receiver, cell = CellEncoding(settings_of(1)), np.full((1, 1), FREE + 1, np.uint8)
+    forged = encode([Fragment(pack(0, 0, cell))]) + encode([Fragment(pack(WIDTH - 1, HEIGHT - 1, cell))])
+    for _ in range(30):
+        with pytest.raises(ProtocolError, match="its author can have observed"):
+            receiver.apply(0, forged, step=5, sender=2)
+    own = np.full((HEIGHT, WIDTH), FREE, np.uint8)
+    everything = GridChange(own.size, (0, 0, WIDTH, HEIGHT))
+    packets = CellEncoding(settings_of(0)).encode_changes(own, NO_SCAN, everything, delivered=True)
+    receiver.apply(0, b"".join(packets), step=25, sender=0)
+    assert (receiver.merge(np.zeros_like(own)) == own).all()
 
 
 @given(st.binary(max_size=40))

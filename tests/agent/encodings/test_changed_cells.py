@@ -15,7 +15,7 @@ from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings
 from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.scans import Change, Scan, draw
+from protocol.scans import GridChange, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell
 from worldsim.laser import cast
@@ -110,8 +110,8 @@ def test_for_another_grid_all_cells_count_as_changed() -> None:
     one, other, news = np.zeros((9, 9), np.uint8), np.zeros((9, 9), np.uint8), ChangedCells()
     assert boxes_of(news, one) is None
     assert boxes_of(news, one) == []
-    news.add(one, Change(3, (1, 2, 4, 5)))
-    news.add(other, Change(1, (7, 7, 8, 8)))
+    news.add(one, GridChange(3, (1, 2, 4, 5)))
+    news.add(other, GridChange(1, (7, 7, 8, 8)))
     assert boxes_of(news, one) == [[1, 2, 4, 5]]
     assert boxes_of(news, other) is None
     assert boxes_of(news, one) is None

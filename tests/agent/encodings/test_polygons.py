@@ -29,15 +29,14 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packet_codec import decode, encode
-from protocol.packets import Change as Changed
-from protocol.packets import Delete, Fragment, Save
-from protocol.scans import Change, Scan
+from protocol.packets import Change, Delete, Fragment, Save
+from protocol.scans import GridChange, Scan
 from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell, exploration, growing_maps
 from tests.agent.outline.edit_scripts import canonical
 
 EXACT: dict[str, Any] = {"bandwidth": UNLIMITED}
-NO_NEWS = Change(0, (0, 0, 0, 0))
+NO_NEWS = GridChange(0, (0, 0, 0, 0))
 DEFAULT_BANDWIDTH, DEFAULT_OPTIONS = Budget(1000), PolygonOptions()
 WORLD_SEED, STEPS = 4, 25
 
@@ -66,7 +65,7 @@ def record(
     map_encoding: PolygonEncoding, grid: Grid, cell: Cell, *, news: bool = True, delivered: bool = True
 ) -> list[bytes]:
     height, width = grid.shape
-    change = Change(1, (0, 0, width, height)) if news else NO_NEWS
+    change = GridChange(1, (0, 0, width, height)) if news else NO_NEWS
     return map_encoding.encode_changes(grid, Scan(*cell, np.empty(0, np.uint16)), change, delivered=delivered)
 
 
@@ -261,7 +260,7 @@ def test_the_error_includes_changes_that_are_not_logged_yet() -> None:
 # --- malformed data ------------------------------------------------------------------------------------------
 
 MALFORMED = {
-    "an object that is not there": [encode([Changed(99, 2, 0)])],
+    "an object that is not there": [encode([Change(99, 2, 0)])],
     "a vertex of no object": [encode([Delete(0)])],
     "a second save point": [encode([Save()])],
     "a raw scan": [encode([Fragment(b"scan")])],

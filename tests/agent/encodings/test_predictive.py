@@ -21,7 +21,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packet_codec import decode_kind, encode
 from protocol.packets import UPDATE_DATA, UPDATE_NUMBERS, UPDATE_PART, Delete, Fragment, Update
-from protocol.scans import Change, Scan, draw
+from protocol.scans import GridChange, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast
 
@@ -63,7 +63,7 @@ class Explorer:
             self.own[at_y, at_x] = self.rng.choice((FREE, OCCUPIED))
             cells, (x0, y0, x1, y1) = change
             far = max(x1, at_x + 1), max(y1, at_y + 1)
-            change = Change(cells + 1, (min(x0, at_x), min(y0, at_y), *far))
+            change = GridChange(cells + 1, (min(x0, at_x), min(y0, at_y), *far))
         packets = self.map_encoding.encode_changes(
             self.own, Scan(x, y, readings), change, delivered=delivered
         )
@@ -79,7 +79,7 @@ def world(seed: int) -> Grid:
 def flush(explorer: Explorer) -> list[bytes]:
     """Let a robot stand still until it has reported all."""
     sent: list[bytes] = []
-    nothing = Change(0, (WIDTH, HEIGHT, 0, 0))
+    nothing = GridChange(0, (WIDTH, HEIGHT, 0, 0))
     for _ in range(ENOUGH_STEPS):
         scan = Scan(0, 0, np.full(BEAMS, 0, np.uint16))
         sent += explorer.map_encoding.encode_changes(explorer.own, scan, nothing, delivered=True)
@@ -266,7 +266,7 @@ def test_few_new_cells_wait_if_bandwidth_is_scarce(bandwidth: Budget, steps: int
     own = unknown()
     own[5, 5] = FREE
     sent = [
-        explorer.map_encoding.encode_changes(own, scan, Change(1, (5, 5, 6, 6)), delivered=True)
+        explorer.map_encoding.encode_changes(own, scan, GridChange(1, (5, 5, 6, 6)), delivered=True)
         for _ in range(ENOUGH_STEPS)
     ]
     assert [bool(packets) for packets in sent].index(True) == steps

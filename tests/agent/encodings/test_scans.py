@@ -17,13 +17,13 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packet_codec import encode
 from protocol.packets import Delete, Fragment, Save
-from protocol.scans import HIT, NONE, Change, Scan, draw, encode_scan, fragments, scan_size
+from protocol.scans import HIT, NONE, GridChange, Scan, draw, encode_scan, fragments, scan_size
 from tests.agent.encodings.arrival import LATE
 
 BEAMS = 36
 RANGES = [6.0, 3.5, 9.0]
 WIDTH, HEIGHT = 20, 14
-NOTHING = Change(0, (WIDTH, HEIGHT, 0, 0))
+NOTHING = GridChange(0, (WIDTH, HEIGHT, 0, 0))
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -19,12 +19,12 @@ from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, Laser, RangeScan, beam_ends, smoothed
-from protocol.scans import Change, fragments
+from protocol.scans import GridChange, fragments
 from tests.agent.encodings.arrival import LATE
 
 CELL, WIDTH, HEIGHT = 0.05, 60, 50
 LASER = Laser(72, -(TURN // 3), 2 * TURN // 3, 2000)
-NO_CHANGE = Change(0, (WIDTH, HEIGHT, 0, 0))
+NO_CHANGE = GridChange(0, (WIDTH, HEIGHT, 0, 0))
 
 
 def settings_of(robot: int, laser: Laser = LASER) -> Settings:

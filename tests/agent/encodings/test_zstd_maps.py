@@ -15,12 +15,12 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packet_codec import encode
 from protocol.packets import Save
-from protocol.scans import Change, Scan, fragments
+from protocol.scans import GridChange, Scan, fragments
 from tests.agent.encodings.arrival import LATE
 
 WIDTH, HEIGHT = 20, 14
 SCAN = Scan(0, 0, np.zeros(36, np.uint16))
-CHANGE = Change(1, (0, 0, WIDTH, HEIGHT))
+CHANGE = GridChange(1, (0, 0, WIDTH, HEIGHT))
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from agent.mapping.estimator import CLEAR, LEAST, MOST, NEAR_LOOKS, PASS, STRIKE, STRUCK, WALL, Estimator
+from agent.mapping.estimator import CLEAR, HIT, HIT_VOTES, LEAST, MOST, NEAR_LOOKS, PASS, WALL, Estimator
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.range_scans import UNIT
 
@@ -40,9 +40,9 @@ def plain_add(odds: dict, states: dict, x: int, y: int, ends: np.ndarray, hits: 
         inside = [all(0 <= number < SIDE for number in cell) for cell in cells]
         reach = inside.index(False) if False in inside else len(cells)
         for cell in cells[:reach]:
-            votes[cell] = votes.get(cell, 0) + (STRIKE if hit and cell == cells[-1] else -1)
+            votes[cell] = votes.get(cell, 0) + (HIT_VOTES if hit and cell == cells[-1] else -1)
     for cell, vote in votes.items():
-        change = STRUCK if vote >= 0 else PASS
+        change = HIT if vote >= 0 else PASS
         odds[cell] = min(MOST, max(LEAST, odds.get(cell, 0) + change))
         if odds[cell] > WALL:
             states[cell] = OCCUPIED
@@ -77,7 +77,7 @@ def test_a_false_wall_disappears_after_beams_have_passed_through_it() -> None:
     assert estimator.strike(3, 3).cells == 1
     assert estimator.states[3, 3] == OCCUPIED
     assert not estimator.strike(8, 3).cells
-    scans = math.ceil((STRUCK - CLEAR + 1) / -PASS)
+    scans = math.ceil((HIT - CLEAR + 1) / -PASS)
     for _ in range(scans):
         estimator.add(128, 128, beyond, np.array([True]))
     assert estimator.states[0, 5] == FREE

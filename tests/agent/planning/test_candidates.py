@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from agent.planning.candidates import (
     LEAST_CELLS,
-    Edges,
+    Segments,
     count_representatives,
     frontier_segments,
     goal_candidates,
@@ -40,7 +40,7 @@ def test_the_number_of_representatives_is_that_of_equation_1(
     assert count_representatives(cells, range_cells) == count
 
 
-def parts(edges: Edges) -> list[list[list[int]]]:
+def parts(edges: Segments) -> list[list[list[int]]]:
     """The cells of each edge."""
     cells, sizes = edges
     return [part.tolist() for part in np.split(cells, np.cumsum(sizes)[:-1])]

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from agent.planning.cost_field import costs
 from agent.planning.frontier import Floor
-from agent.planning.jump_point_search import GoalCosts, costs_among, costs_between
+from agent.planning.jump_point_search import GoalCosts, costs_between
 from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, OCCUPIED, Grid
 from tests.agent.planning.planning_references import drawn, floors, whole_lengths
@@ -49,7 +49,7 @@ def test_costs_among_goals_equal_those_of_a_search_from_each_goal(
     rng = np.random.default_rng(seed)
     free = np.argwhere(grid == FREE)[:, ::-1].astype(np.int32)
     from_cells, to_cells = some_cells(grid, rng, starts), free[rng.integers(0, len(free), goals)]
-    ways, between = costs_among(Floor(grid), from_cells, to_cells)
+    ways, between = GoalCosts(to_cells).among(Floor(grid), from_cells)
     assert ways.tobytes() == costs_between(Floor(grid), from_cells, to_cells).tobytes()
     assert between.tobytes() == costs_between(Floor(grid), to_cells, to_cells).tobytes()
 
@@ -64,7 +64,7 @@ def test_shared_costs_equal_those_of_a_search_of_their_own(
     shared = GoalCosts(free[rng.integers(0, len(free), goals)])
     for _ in range(3):
         from_cells = some_cells(grid, rng, starts)
-        expected = costs_among(floor, from_cells, shared.goals)
+        expected = GoalCosts(shared.goals).among(floor, from_cells)
         assert shared.ways(floor, from_cells).tobytes() == expected[0].tobytes()
         for found, each in zip(shared.among(floor, from_cells), expected, strict=True):
             assert found.tobytes() == each.tobytes()

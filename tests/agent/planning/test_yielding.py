@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route
 from agent.planning.yielding import FARTHEST, GIVE_UP, MEMORY, WAIT, YieldBehavior
-from protocol.grid import FREE
+from murmur import steps
+from protocol.grid import FREE, OCCUPIED
 from tests.agent.planning.planning_references import drawn
+from worldsim import maps
 
 HALL = PathPlanner(np.full((7, 9), FREE, np.uint8))
 START, END = (0, 3), (8, 3)
@@ -58,6 +63,33 @@ def test_a_robot_waits_before_it_takes_a_detour() -> None:
     assert yielding.has_waited
     yielding.note(Route(), START, WAIT + 1, stopped=False)
     assert not yielding.has_waited
+
+
+def waiting_steps(robot: int, speed: float) -> int:
+    """For how many steps a robot waits for a teammate that stops it in step 1."""
+    yielding, step = YieldBehavior(0, robot, 9.0, speed), 0
+    while not yielding.has_waited:
+        step += 1
+        stopped_at(yielding, (1, 3), step)
+    return step
+
+
+def test_robots_that_take_several_steps_for_a_cell_wait_for_different_times() -> None:
+    assert {waiting_steps(robot, speed) for robot in range(9) for speed in (1.0, 5.0)} == {WAIT}
+    assert {waiting_steps(robot, 0.5) for robot in range(60)} == set(range(WAIT, WAIT + 4))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_slow_robots_do_not_turn_aside_in_the_same_steps_for_ever(seed: int, tmp_path: Path) -> None:
+    # Two rooms, and a door that is two cells wide. Robots drive half a cell per step.
+    rooms = np.full((22, 42), OCCUPIED, np.uint8)
+    rooms[1:21, 1:20] = rooms[1:21, 22:41] = rooms[10:12, 19:23] = FREE
+    maps.save(maps.Map("rooms", rooms, 0.1), tmp_path / "rooms.yaml")
+    *_, last = steps(
+        map=tmp_path / "rooms.yaml", robots=2, strategy="scan-replan", sensor_range=1.0, speed=0.05, steps=300,
+        seed=seed,
+    )  # fmt: skip
+    assert last.explored == 1
 
 
 def test_without_a_detour_a_robot_yields_to_a_random_but_reproducible_cell() -> None:

@@ -12,7 +12,7 @@ from agent.predictive.narrow_tile_author import NarrowTileAuthor
 from agent.predictive.scan_updates import STATE
 from agent.predictive.tile_stream import TileStream
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 
 HEIGHT, WIDTH = 64, 96
 
@@ -26,10 +26,10 @@ class Robot:
         scratch = np.empty((2 * HEIGHT * WIDTH, 2), np.int32)
         stream = TileStream(0, np.zeros_like(own), [History()], scratch, team=False)
         self.author = NarrowTileAuthor(stream, Bound(1, SETTLED))
-        for change in (Change(own.size, (0, 0, WIDTH, HEIGHT)), Change(0, (0, 0, 0, 0))):
+        for change in (GridChange(own.size, (0, 0, WIDTH, HEIGHT)), GridChange(0, (0, 0, 0, 0))):
             self.add(change)
 
-    def add(self, change: Change) -> None:
+    def add(self, change: GridChange) -> None:
         """Begin a step."""
         self.author.add(Scan(40, 30, np.empty(0, np.uint16)), change)
 
@@ -40,7 +40,7 @@ class Robot:
 
     def update(self, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Return the update of a step."""
-        self.add(Change(0, (0, 0, 0, 0)))
+        self.add(GridChange(0, (0, 0, 0, 0)))
         if not self.author.is_due(self.own, self.log_odds, self.held):
             return None
         return self.author.encode(self.own, self.log_odds, most)
@@ -105,7 +105,7 @@ def test_tiles_of_little_value_fill_an_update_but_those_of_no_value_do_not() -> 
     robot.own[8 * TILE - 1, :3] = robot.own[:TILE, 40:] = FREE
     robot.own[30, 20:24] = OCCUPIED
     robot.log_odds[:] = np.array([0, -40, 40], np.int8)[robot.own]
-    robot.add(Change(robot.own.size, (0, 0, WIDTH, HEIGHT)))
+    robot.add(GridChange(robot.own.size, (0, 0, WIDTH, HEIGHT)))
     encoded = robot.update(10_000)
     assert encoded is not None
     assert (robot.held[0] == FREE).all()

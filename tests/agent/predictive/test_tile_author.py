@@ -29,7 +29,7 @@ from agent.predictive.urgent_tile_author import (
 )
 from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.scans import Change, Scan
+from protocol.scans import GridChange, Scan
 from tests.agent.mapping.plain_bound import violations
 
 HEIGHT, WIDTH = 60, 76
@@ -53,21 +53,21 @@ class Mapper:
         self.step = 0
         self.stands = False
 
-    def draw(self, box: Box, state: int) -> Change:
+    def draw(self, box: Box, state: int) -> GridChange:
         """Give all cells of a box a settled state; return the change."""
         x0, y0, x1, y1 = box
         self.own[y0:y1, x0:x1] = state
         self.log_odds[y0:y1, x0:x1] = np.array([0, -40, 40])[state]
-        return Change((x1 - x0) * (y1 - y0), box)
+        return GridChange((x1 - x0) * (y1 - y0), box)
 
-    def add(self, change: Change) -> None:
+    def add(self, change: GridChange) -> None:
         """Begin a step, in which the robot drives to another cell unless it stands still."""
         self.step += 1
         self.author.add(Scan(3 if self.stands else self.step % 2, 4, np.empty(0, np.uint16)), change)
 
-    def play(self, change: Change | None = None, most: float = math.inf) -> list[DecodedUpdate]:
+    def play(self, change: GridChange | None = None, most: float = math.inf) -> list[DecodedUpdate]:
         """Play a step; return the updates that the author writes, of `most` bytes as the encoding counts them."""
-        self.add(change or Change(0, NO_BOX))
+        self.add(change or GridChange(0, NO_BOX))
         updates: list[DecodedUpdate] = []
         if self.author.has_changes and self.author.is_due(self.own, self.log_odds, self.held):
             while most > 0 and (encoded := self.author.encode(self.own, self.log_odds, most)) is not None:
@@ -162,7 +162,7 @@ def test_with_a_limited_budget_new_cells_are_sent_before_other_corrections() -> 
     below = (0, 2 * TILE, WIDTH, 4 * TILE)
     mapper.draw((2, 2, WIDTH, 3), OCCUPIED)
     mapper.draw(below, FREE)
-    mapper.play(Change(1, (0, 0, WIDTH, 4 * TILE)))
+    mapper.play(GridChange(1, (0, 0, WIDTH, 4 * TILE)))
     sent = [update for _ in range(WORTHLESS_QUIET_STEPS) for update in mapper.play()]
     assert sent[0].box == below
     assert [(each.box[1], each.box[3]) for each in sent[1:]] == [(2, 3)]
@@ -178,7 +178,7 @@ def test_with_a_limited_budget_tiles_that_close_a_frontier_are_sent_before_other
     assert (mapper.held[TILE:] == FREE).all()
     mapper.draw((0, HEIGHT - 3, 4 * TILE, HEIGHT - 2), OCCUPIED)
     mapper.draw((0, TILE, 4 * TILE, TILE + 1), OCCUPIED)
-    mapper.play(Change(8 * TILE, room))
+    mapper.play(GridChange(8 * TILE, room))
     sent = [update for _ in range(WORTHLESS_QUIET_STEPS) for update in mapper.play()]
     assert [(each.box[1], each.box[3]) for each in sent] == [(TILE, TILE + 1), (HEIGHT - 3, HEIGHT - 2)]
 
@@ -189,7 +189,7 @@ def test_with_a_limited_budget_complete_tiles_are_sent_before_those_with_a_front
     mapper.draw(part, FREE)
     mapper.draw(whole, FREE)
     mapper.draw((0, 3 * TILE, WIDTH, 3 * TILE + 1), OCCUPIED)
-    mapper.play(Change(1, LARGE))
+    mapper.play(GridChange(1, LARGE))
     sent = [update for _ in range(2 * FEW_QUIET_STEPS) for update in mapper.play()]
     assert [each.box for each in sent] == [whole, part]
 
@@ -220,13 +220,13 @@ def test_changes_within_the_bound_are_not_sent() -> None:
     mapper = Mapper()
     mapper.draw(LARGE, FREE)
     change = mapper.draw((0, 20, WIDTH, 21), OCCUPIED)
-    mapper.play(Change(change.cells, LARGE))
+    mapper.play(GridChange(change.cells, LARGE))
     for _ in range(LONGEST_WAIT + INTERVAL):
         mapper.play()
     assert not mapper.author.has_changes
     mapper.draw((0, 20, WIDTH, 21), FREE)
     mapper.draw((0, 21, WIDTH, 22), OCCUPIED)
-    assert not mapper.play(Change(2 * WIDTH, (0, 20, WIDTH, 22)))
+    assert not mapper.play(GridChange(2 * WIDTH, (0, 20, WIDTH, 22)))
     assert mapper.author.has_changes
     assert not any(mapper.play() for _ in range(LONGEST_WAIT + INTERVAL))
     assert not mapper.author.has_changes
@@ -248,12 +248,12 @@ def test_retracted_tiles_are_sent_again(most: float) -> None:
 def test_an_attempt_that_finds_nothing_to_send_does_not_replace_what_a_retraction_restores() -> None:
     mapper = Mapper()
     change = mapper.draw(SMALL, FREE)
-    mapper.play(Change(change.cells, SMALL))
+    mapper.play(GridChange(change.cells, SMALL))
     for _ in range(QUIET_STEPS):
-        mapper.add(Change(0, NO_BOX))
-    mapper.add(Change(1, (40, 40, 41, 41)))
+        mapper.add(GridChange(0, NO_BOX))
+    mapper.add(GridChange(1, (40, 40, 41, 41)))
     for _ in range(QUIET_STEPS):
-        mapper.add(Change(0, NO_BOX))
+        mapper.add(GridChange(0, NO_BOX))
     assert mapper.author.encode(mapper.own, mapper.log_odds, 1) is not None
     assert mapper.author.encode(mapper.own, mapper.log_odds, 1) is None
     mapper.retract()
@@ -273,7 +273,7 @@ def test_free_cells_are_sent_if_the_wall_beside_them_was_removed_later() -> None
         mapper.play()
     mapper.play(mapper.draw((TILE, 0, TILE + 1, HEIGHT), FREE))
     for _ in range(QUIET_STEPS):
-        mapper.play(Change(HEIGHT, wall))
+        mapper.play(GridChange(HEIGHT, wall))
     mapper.play(mapper.draw(wall, FREE))
     for _ in range(2 * LONGEST_WAIT + INTERVAL):
         mapper.play()
@@ -313,7 +313,7 @@ def test_when_nothing_waits_any_more_the_copy_fulfills_the_bound(
             mapper.own[y0:y1, x0:x1] = states
             strength = random.integers(1, 40, states.shape)
             mapper.log_odds[y0:y1, x0:x1] = np.array([0, -1, 1])[states] * strength
-            updates = mapper.play(Change(states.size, (x0, y0, x1, y1)), most)
+            updates = mapper.play(GridChange(states.size, (x0, y0, x1, y1)), most)
             sent += len(updates)
             if len(updates) == 1 and random.random() < 0.5:
                 mapper.retract()

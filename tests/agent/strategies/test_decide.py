@@ -15,7 +15,7 @@ from agent.strategies.homing import HOME_AFTER
 from agent.strategies.registry import strategy
 from agent.strategies.team import PLAN_ALONE_AFTER
 from protocol.body import Body
-from protocol.grid import FREE, UNKNOWN, Cell, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
 from tests.agent.planning.planning_references import drawn, settings_for
 from tests.agent.strategies.deciding import CORRIDOR, decide, make_strategy, robot_at
 
@@ -205,6 +205,20 @@ def test_a_robot_on_the_frontier_turns_to_the_unknown_cells(name: str) -> None:
         around = grid.copy()
         around[y, x] = UNKNOWN
         assert decide(name, replace(robot_at(4, 4, grid=around), heading=3)).heading == heading
+
+
+def test_a_robot_on_a_diagonal_frontier_turns_to_the_unknown_cell_if_such_cells_are_goals() -> None:
+    grid = np.full((9, 9), FREE, np.uint8)
+    for (x, y), heading in {(5, 5): 1, (3, 5): 3, (3, 3): 5, (5, 3): 7}.items():
+        around = grid.copy()
+        around[y, x] = UNKNOWN
+        here = replace(robot_at(4, 4, grid=around), heading=2)
+        for candidates, expected in (("hops", heading), ("breadth-first", 2)):
+            assert decide("nearest", here, {"candidates": candidates}).heading == expected
+    around[3, 4] = around[4, 5] = OCCUPIED  # it cannot be seen between two walls
+    around[5, 3] = UNKNOWN
+    here = replace(robot_at(4, 4, grid=around), heading=2)
+    assert decide("nearest", here, {"candidates": "hops"}).heading == 3
 
 
 @pytest.mark.parametrize("name", ["leaders", "meier"])

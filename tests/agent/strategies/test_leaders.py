@@ -12,7 +12,7 @@ from agent.strategies.base import TeammatePose
 from agent.strategies.leaders import STALL_STEPS, elect
 from protocol.grid import FREE, UNKNOWN
 from tests.agent.planning.planning_references import drawn
-from tests.agent.strategies.deciding import decide, make_strategy, robot_at
+from tests.agent.strategies.deciding import CORRIDOR, decide, make_strategy, robot_at
 
 BEHIND_A_WALL = drawn(
     "..........",
@@ -123,6 +123,16 @@ def test_a_robot_without_progress_is_stalled() -> None:
     # Between two frontier points at the same distance, in a closed corridor.
     stalled = [swarm.decide(replace(robot_at(7), step=step)).stalled for step in range(1, 70)]
     assert stalled.index(True) == 60
+
+
+def test_a_robot_that_is_too_large_for_what_is_left_stalls_like_its_teammates() -> None:
+    # The run of a large robot and of a small one, which is stalled, ends only if both are.
+    known = np.full_like(CORRIDOR, FREE)
+    for name in ("leaders", "potential-field"):
+        swarm = make_strategy(name, {}, known, resolution=0.1)
+        found = [swarm.decide(replace(robot_at(7, grid=known), step=step)) for step in range(1, 70)]
+        assert all(decision.explored for decision in found)
+        assert [decision.stalled for decision in found].index(True) == 60
 
 
 def test_a_trooper_escapes_from_a_local_minimum_until_it_has_observed_the_frontier() -> None:

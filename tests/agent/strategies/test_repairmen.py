@@ -170,6 +170,19 @@ def test_a_robot_without_other_goals_takes_one_of_a_teammate_on_a_longer_way() -
     assert found == [(10, 1), (40, 1)]
 
 
+@pytest.mark.parametrize("radius_cells", [0.0, 1.2])
+def test_a_large_robot_without_a_tour_follows_its_teammate_to_a_goal_that_it_reaches(
+    radius_cells: float,
+) -> None:
+    # Robot 1 will visit two halls. Robot 0 is too large for the door to the lower one, a cell wide.
+    grid = np.full((17, 60), OCCUPIED, np.uint8)
+    grid[1:8, 1:50] = grid[9:16, 41:50] = grid[8, 47] = FREE
+    grid[1:8, 50:] = grid[9:16, 50:] = UNKNOWN
+    task = settings_for(grid, 0, 2, ranges_cells=[10.0, 10.0], radii_cells=[radius_cells, 0.0])
+    here = robot_at(25, 4, grid, peers=(1,), poses={1: TeammatePose(45, 4, leads=False)})
+    assert Repairmen({}, task).decide(here).target == ((49, 4) if radius_cells else (49, 12))
+
+
 @pytest.mark.parametrize("width", [3, 7])
 def test_a_robot_without_a_tour_follows_its_teammate_also_in_a_narrow_corridor(width: int) -> None:
     grid = np.full((width + 2, 60), OCCUPIED, np.uint8)

@@ -11,7 +11,16 @@ import pytest
 from msgspec import structs
 from pyarrow import parquet
 
-from deploy.after.merge import MAX_DRIFT_PPM, UNKNOWN, FrameId, Recording, align, join, merge, read_recording
+from deploy.after.merge import (
+    MAX_DRIFT_PPM,
+    UNKNOWN,
+    FrameId,
+    RobotRecord,
+    align,
+    join,
+    merge,
+    read_robot_record,
+)
 from deploy.record.link_records import FRAMES, FrameLine
 from netshaper import capture, pcapng
 from netshaper.ledger import CAUSES
@@ -56,19 +65,19 @@ def start_of(folder: Path, number: int) -> Path:
 
 def test_frames_of_all_robots_are_joined_on_one_clock(folder: Path, tmp_path: Path) -> None:
     folders = [folder / f"r{number}" for number in range(3)]
-    recordings = [read_recording(start_of(folder, number)) for number in range(3)]
-    offsets, error = align(recordings)
+    robot_records = [read_robot_record(start_of(folder, number)) for number in range(3)]
+    offsets, error = align(robot_records)
     assert error < SECOND // 10
     for offset, ahead in zip(offsets, AHEAD, strict=True):
         assert abs(offset + ahead) <= error
-    frames = join(recordings, offsets)
+    frames = join(robot_records, offsets)
     assert {(number.sender, number.counter): each.size for number, each in frames.items()} == sent_frames(
         folder
     )
     times = [each.time_ns for each in frames.values()]
     assert times == sorted(times)
     for number, each in frames.items():
-        holders = {other.robot for other in recordings if number in other.received}
+        holders = {other.robot for other in robot_records if number in other.received}
         assert each.receivers == holders
 
     merged = merge(folders, tmp_path / "team").summary
@@ -99,7 +108,7 @@ def test_the_command_prints_what_it_joined_and_overwrites_nothing(folder: Path, 
 
 
 def test_clocks_can_be_aligned_over_a_third_robot_and_by_frames_in_one_direction(folder: Path) -> None:
-    one, two, three = (read_recording(start_of(folder, number)) for number in range(3))
+    one, two, three = (read_robot_record(start_of(folder, number)) for number in range(3))
     apart = [
         dataclasses.replace(one, received={k: v for k, v in one.received.items() if k.sender == 1}),
         two,
@@ -113,7 +122,7 @@ def test_clocks_can_be_aligned_over_a_third_robot_and_by_frames_in_one_direction
 
 
 def test_clocks_of_robots_that_exchanged_no_frames_agree_by_the_time_of_day(folder: Path) -> None:
-    one, two, three = (read_recording(start_of(folder, number)) for number in range(3))
+    one, two, three = (read_robot_record(start_of(folder, number)) for number in range(3))
     silent = dataclasses.replace(two, received={}, sent={})
     offsets, error = align([dataclasses.replace(one, received={}), silent, three])
     assert error >= UNKNOWN
@@ -146,7 +155,7 @@ def test_the_bound_of_the_error_contains_the_drift_of_a_clock(folder: Path, drif
     def drifting(time: int) -> int:
         return time + AHEAD[1] + time * drift_ppm // 1_000_000
 
-    delay, recordings = SECOND // 200, []
+    delay, robot_records = SECOND // 200, []
     for number, clock in ((0, int), (1, drifting)):
         sent, received = {}, {}
         for count in range(720):
@@ -156,15 +165,15 @@ def test_the_bound_of_the_error_contains_the_drift_of_a_clock(folder: Path, drif
                 sent[frame] = FrameLine(number, clock(time), 1, sender, 1, count, 9, 0, 0)
             else:
                 received[frame] = FrameLine(number, clock(time + delay), 1, sender, 1, count, 9, 0, 0)
-        record = read_recording(start_of(folder, number)).record
-        recordings.append(Recording(record, sent, received, {}))
-    (_, offset), error = align(recordings)
+        record = read_robot_record(start_of(folder, number)).record
+        robot_records.append(RobotRecord(record, sent, received, {}))
+    (_, offset), error = align(robot_records)
     worst = max(abs(drifting(time) + offset - time) for time in (0, 3595 * SECOND))
     assert worst <= error <= worst + 2 * delay + 10 * SECOND * MAX_DRIFT_PPM // 1_000_000
 
 
 def test_robots_on_one_host_have_one_clock(folder: Path) -> None:
-    one, two = (read_recording(start_of(folder, number)) for number in range(2))
+    one, two = (read_robot_record(start_of(folder, number)) for number in range(2))
     setup = structs.replace(two.record.setup, clock=one.record.setup.clock)
     same = dataclasses.replace(two, record=dataclasses.replace(two.record, setup=setup))
     assert align([one, same]) == ([0, 0], 0)
@@ -192,16 +201,16 @@ def test_damaged_files_of_the_radio_are_refused(folder: Path, tmp_path: Path) ->
         shutil.copytree(start_of(folder, 0), tmp_path, dirs_exist_ok=True)
         (tmp_path / FRAMES).write_text(text)
         with pytest.raises(ValueError, match=problem):
-            read_recording(tmp_path)
+            read_robot_record(tmp_path)
 
 
 def test_what_a_killed_robot_recorded_is_read_up_to_the_last_whole_line(folder: Path, tmp_path: Path) -> None:
     text = (start_of(folder, 0) / FRAMES).read_bytes()
     shutil.copytree(start_of(folder, 0), tmp_path, dirs_exist_ok=True)
     (tmp_path / FRAMES).write_bytes(text[: len(text) // 2 + 3])
-    recording, whole = read_recording(tmp_path), read_recording(start_of(folder, 0))
-    assert 0 < len(recording.packets) < len(whole.packets)
-    assert recording.packets.items() <= whole.packets.items()
+    robot_record, whole = read_robot_record(tmp_path), read_robot_record(start_of(folder, 0))
+    assert 0 < len(robot_record.packets) < len(whole.packets)
+    assert robot_record.packets.items() <= whole.packets.items()
 
 
 def test_damaged_recordings_are_named_and_nothing_is_written(folder: Path, tmp_path: Path) -> None:
