@@ -74,6 +74,7 @@ def cases(experiment: Experiment) -> list[Case]:
     if count > MAX_RUNS:
         raise ScenarioError(f"{experiment.where}: {count} runs: must be at most {MAX_RUNS}")
     files: dict[tuple[str, str], bytes] = {}
+    drawn: dict[tuple[str, str, int], Map] = {}
     checked: set[str] = set()
     result = []
     for combination in itertools.product(*experiment.grid.values()):
@@ -94,7 +95,7 @@ def cases(experiment: Experiment) -> list[Case]:
                     files[building] = content(plans.load_map(scenario))
                 without_seeds = repr(scenario.model_copy(update={"seed": 0, "map_seed": 0}))
                 if without_seeds not in checked:
-                    memory.check(plans.make(scenario))
+                    memory.check(plans.make(scenario, _map_of(scenario, drawn)))
                     checked.add(without_seeds)
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: {error}") from None
@@ -105,6 +106,16 @@ def cases(experiment: Experiment) -> list[Case]:
             )
     plugins.check_distinct(case.scenario for case in result)
     return result
+
+
+def _map_of(scenario: Scenario, drawn: dict[tuple[str, str, int], Map]) -> Map | None:
+    """Return the map of a scenario, which is added to those of earlier ones; None if the log of a run gives it."""
+    if scenario.is_recorded:
+        return None
+    key = scenario.map, repr(scenario.map_options), scenario.map_seed
+    if key not in drawn:
+        drawn[key] = plans.load_map(scenario)
+    return drawn[key]
 
 
 def _scenario(experiment: Experiment, layers: Sequence[dict[str, Any]], where: str) -> Scenario:

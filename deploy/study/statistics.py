@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 CONFIDENCE = 0.95
 SIGNIFICANT = 0.05
@@ -60,7 +60,8 @@ def interval(values: Values) -> Interval:
     mean = float(np.mean(values)) if n else math.nan
     if n < 2:
         return Interval(n, mean, math.nan, math.nan)
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * stats.sem(values))
+    quantile = scipy.special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2)
+    half = float(quantile * (np.std(values, ddof=1) / math.sqrt(n)))
     return Interval(n, mean, mean - half, mean + half)
 
 
@@ -76,7 +77,7 @@ def share(successes: int, n: int) -> Interval:
     """A share with its 95 % interval (Wilson)."""
     if n == 0:
         return Interval(0, math.nan, math.nan, math.nan)
-    bounds = stats.binomtest(successes, n).proportion_ci(CONFIDENCE, "wilson")
+    bounds = scipy.stats.binomtest(successes, n).proportion_ci(CONFIDENCE, "wilson")
     return Interval(n, successes / n, float(bounds.low), float(bounds.high))
 
 
@@ -128,13 +129,13 @@ def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
     if not len(data):
         return NO_EVIDENCE
     order = np.arange(data.shape[1])
-    ranks = stats.rankdata(data, axis=1)
+    ranks = scipy.stats.rankdata(data, axis=1)
     steady = ranks.std(axis=1) == 0
     correlations = np.array(
         [0.0 if flat else np.corrcoef(order, row)[0, 1] for row, flat in zip(ranks, steady, strict=True)]
     )
     p_grows, p_falls = (
-        1.0 if steady.all() else float(stats.page_trend_test(values).pvalue)
+        1.0 if steady.all() else float(scipy.stats.page_trend_test(values).pvalue)
         for values in (data, data[:, ::-1])
     )
     p_for, p_against = (p_grows, p_falls) if sign > 0 else (p_falls, p_grows)
@@ -143,7 +144,7 @@ def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
 
 def same_order(values: Sequence[float], reference: Sequence[float]) -> Evidence:
     """Test whether values have the same order as the reference values, by the exact test of Kendall's tau."""
-    up, down = (stats.kendalltau(values, reference, alternative=side) for side in ("greater", "less"))
+    up, down = (scipy.stats.kendalltau(values, reference, alternative=side) for side in ("greater", "less"))
     tau = float(up.statistic)
     return Evidence(Interval(len(values), tau, math.nan, math.nan), tau, float(up.pvalue), float(down.pvalue))
 
@@ -185,7 +186,7 @@ def _t(data: NDArray[np.float64], bound: float, side: str) -> float:
     beyond = sign * (data - bound)
     if beyond.std() <= 1e-12 * max(1.0, float(np.abs(beyond).max())):
         return 0.5 ** len(beyond) if np.round(beyond.mean(), 12) > 0 else 1.0
-    return float(stats.ttest_1samp(beyond, 0, alternative="greater").pvalue)
+    return float(scipy.stats.ttest_1samp(beyond, 0, alternative="greater").pvalue)
 
 
 def _binomial(successes: int, n: int, probability: float, side: str) -> float:
@@ -193,7 +194,7 @@ def _binomial(successes: int, n: int, probability: float, side: str) -> float:
     if not 0 < probability < 1:
         met = probability <= 0 if side == "greater" else probability >= 1
         return 0.0 if met and n else 1.0
-    return float(stats.binomtest(successes, n, probability, alternative=side).pvalue) if n else 1.0
+    return float(scipy.stats.binomtest(successes, n, probability, alternative=side).pvalue) if n else 1.0
 
 
 def _size(data: NDArray[np.float64], low: float, high: float) -> float:

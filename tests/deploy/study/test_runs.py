@@ -30,6 +30,21 @@ def test_every_combination_of_grid_and_variants_is_run_once(tmp_path: Path) -> N
     assert {c.scenario.map_encoding for c in todo if c.place["variant"] == "scans"} == {"scans"}
 
 
+def test_the_cases_of_a_building_share_one_drawing_of_its_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[str, int]] = []
+    draw = generators.make
+
+    def noted(name: str, seed: int = 0, **options: float) -> maps.Map:
+        drawn.append((name, seed))
+        return draw(name, seed, **options)
+
+    monkeypatch.setattr(generators, "make", noted)
+    small(tmp_path, "[grid]\nmap = ['em', 'office']\nrobots = [1, 2]\nspeed = [0.3, 0.5]\n")
+    assert sorted(drawn) == [("em", 0), ("office", 0)]
+
+
 class Ourselves:
     """Makes runs in this process; `made` counts them."""
 

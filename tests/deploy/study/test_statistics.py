@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -20,6 +22,19 @@ def test_an_interval_is_student_s() -> None:
     assert (found.n, found.mean) == (3, 50)
     assert found.half == pytest.approx(4.303 * 10 / math.sqrt(3), rel=1e-3)
     assert math.isnan(statistics.interval([3]).low) and statistics.interval([]).n == 0
+
+
+def test_intervals_do_without_the_tests_of_scipy_which_each_process_of_a_study_would_import() -> None:
+    code = "import sys; from deploy.study.statistics import interval; interval([40, 50]); "
+    code += "sys.exit('scipy.stats' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_an_interval_has_the_bits_of_scipy_s_own_quantile_and_standard_error() -> None:
+    values = np.random.default_rng(1).normal(size=100)
+    for n in range(2, 100):
+        half = float(stats.t.ppf(0.975, n - 1) * stats.sem(values[:n]))
+        assert statistics.interval(values[:n]).high == float(np.mean(values[:n])) + half
 
 
 def test_five_numbers_are_the_quartiles_and_the_ends() -> None:
