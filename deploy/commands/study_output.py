@@ -30,8 +30,8 @@ def report_sweep(sweep: Any) -> None:
         fail("all runs failed", BROKEN_OFF)
     if runs:
         of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
-        intervals = " with 95 % intervals" if table.interval else ""
-        screen.print(f"{' '.join(table.values)}, means of {runs}{of} runs{intervals}")
+        intervals = ", with 95 % intervals" if table.interval else ""
+        screen.print(f"{runs}{of} runs; means of n each{intervals}:")
         print_table(tabulate(table, sweep.rows))
 
 

@@ -94,7 +94,8 @@ class Option(NamedTuple):
     @property
     def time(self) -> str:
         """Mean steps and half of their interval, as text."""
-        return f"{self.steps.mean:.0f} steps" + (f" ± {self.steps.half:.0f}" if self.steps.n > 1 else "")
+        half = f" ± {self.steps.half:.0f}" if self.steps.n > 1 else ""
+        return f"{self.steps.mean:.0f}{half} steps"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,6 +150,7 @@ class Sizing:
             for panel in canvas.axes:
                 panel.axhline(deadline, color="#555555", linewidth=1, linestyle="--")
                 panel.set_ylim(top=max(1.05 * deadline, panel.get_ylim()[1]))
+            panel.text(1.01, deadline, "deadline", transform=panel.get_yaxis_transform(), va="center")
         return canvas
 
     def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:

@@ -38,6 +38,33 @@ def test_panels_of_different_scales_show_all_points(kind: Any, log: bool, scales
     assert_shows_all(plots.draw(plot, rows("steps", scales), Results(None)))
 
 
+def test_intervals_of_means_of_few_runs_end_where_no_run_can_be() -> None:
+    steps = [
+        {
+            "key": f"{run}",
+            "place": {"robots": 2, "variant": "a"},
+            "finished": True,
+            "coverage": 1.0,
+            "steps": at,
+        }
+        for run, at in enumerate((10.0, 200.0))
+    ]
+    (panel,) = plots.draw(Plot("steps", "robots"), steps, Results(None)).axes
+    assert panel.get_ylim()[0] == 0
+    shares = [row | {"coverage": share} for row, share in zip(steps, (0.99, 1.0), strict=True)]
+    (panel,) = plots.draw(Plot("coverage", "robots"), shares, Results(None)).axes
+    assert panel.get_ylim()[1] < 1.1
+
+
+def test_lines_of_one_value_lie_beside_each_other() -> None:
+    runs = [row for row in rows("steps", {"one": 100.0}) if row["place"]["robots"] == 2]
+    (panel,) = plots.draw(Plot("steps", "robots"), runs, Results(None)).axes
+    places = {
+        float(line.get_xdata()[0]) for line in panel.get_lines() if line.get_marker() in plots.MARKERS[:2]
+    }
+    assert len(places) == 2
+
+
 def test_shares_up_to_the_whole_are_shown() -> None:
     assert_shows_all(plots.draw(Plot("coverage", "robots"), rows("other", {"one": 1.0}), Results(None)))
 
@@ -55,6 +82,20 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Archive:
     settings = {"robots": 3, "bandwidth": 60, "steps": 40, "seed": 2, "bus": "memory", "map": "office"}
     explore(parse(settings), out=out)
     return archive.read(out)
+
+
+def test_bars_are_seen_below_a_budget_that_is_far_above(tmp_path: Path) -> None:
+    for bandwidth, is_drawn in ((60, True), (1_000_000, False)):
+        settings = {"robots": 2, "bandwidth": bandwidth, "steps": 5, "bus": "memory", "map": "office"}
+        explore(parse(settings), out=tmp_path / f"{bandwidth}")
+        archives = {"one": archive.read(tmp_path / f"{bandwidth}")}
+        (_, load, *_), (_, other) = (
+            figure.axes for figure in (figures.channel_load(archives["one"]), figures.compared(archives))
+        )
+        for panel in (load, other):
+            assert (panel.get_ylim()[1] >= bandwidth) == is_drawn
+            labels = panel.get_legend_handles_labels()[1]
+            assert any("1,000,000 bytes per step, far above" in label for label in labels) != is_drawn
 
 
 def test_figures_of_a_run_show_all_points(run: Archive) -> None:

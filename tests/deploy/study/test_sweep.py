@@ -252,7 +252,9 @@ def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
         done.sentence.startswith("3 robots with ")
         and "2 of 2 runs (at least 34 % of all runs" in done.sentence
     )
+    assert re.search(r": in \d+ ± \d+ steps, 2 of 2 runs", done.sentence)
     assert [file.name for file in done.write(tmp_path)] == ["size.png", "size.csv"]
+    assert [text.get_text() for panel in done.plot().axes for text in panel.texts] == ["deadline"]
     assert "<img" in done._repr_html_()
     never = size("leader-rooms", deadline=3, out=out, **tried, **settings, **QUIET)
     assert never.enough is None and never.sentence.startswith(
