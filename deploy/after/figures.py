@@ -263,7 +263,7 @@ def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
 
 def _is_far_above(budgets: NDArray[np.float64], carried: NDArray[np.float64]) -> bool:
     """Return whether bars of the carried bytes would be too low to be seen below a line of the budgets."""
-    return 0 < MOST_HEADROOM * carried.max(initial=0.0) < budgets.min()
+    return bool(0 < MOST_HEADROOM * carried.max(initial=0.0) < budgets.min())
 
 
 def _edges(archive: Archive) -> NDArray[np.float64]:
