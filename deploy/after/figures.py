@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS, text_color
-from deploy.record.map_pictures import rgb, robot_rgb, save, show_grid
+from deploy.record.map_pictures import area_name, rgb, robot_rgb, save, show_grid
 from deploy.record.number_texts import percent
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
@@ -173,7 +173,8 @@ def compared(archives: dict[str, Archive]) -> Figure:
             )
         else:
             load.axhline(budget, color=RED, linewidth=1.2, label="budget")
-    explored.set(title="Explored", ylabel="% of reachable area, seen by the team", ylim=(0, 102))
+    areas = " or ".join(dict.fromkeys(area_name(archive.plan) for archive in archives.values()))
+    explored.set(title="Explored", ylabel=f"% of {areas}, seen by the team", ylim=(0, 102))
     ylim = 0, max(1.0, load.get_ylim()[1])
     load.set(title="Transmitted", xlabel="step", ylabel="bytes per step", ylim=ylim)
     for panel in (explored, load):
@@ -203,7 +204,7 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
         known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
         curves[robot] = _per_lived_step(archive, robot, changed, known)
     _draw_curves(panel, curves, "on the map of", _mark(archive))
-    panel.set(title="Explored", ylabel="% of reachable area", ylim=(0, 102))
+    panel.set(title="Explored", ylabel=f"% of {area_name(archive.plan)}", ylim=(0, 102))
 
 
 def draw_load(panel: Axes, archive: Archive) -> None:

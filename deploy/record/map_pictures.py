@@ -158,6 +158,12 @@ def _reference(plan: Plan) -> tuple[str, str, dict[int, str]]:
     return "the world", "correct", ERRORS
 
 
+def area_name(plan: Plan) -> str:
+    """Return what shares of the explored area refer to."""
+    what, *_ = _reference(plan)
+    return "the reachable area" if what == "the world" else what
+
+
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
     """Show a grid of the world's cells, with meters on the axes."""
     _show(axes, grid, CELLS, world_map)

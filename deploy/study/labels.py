@@ -18,6 +18,7 @@ NAMES: Final = {
     "longest_path_99": "longest path to 99 %", "overlap_sum": "overlap, summed",
     "seen_std": "standard deviation of seen shares", "known_at": "time until a robot knows the full map",
     "map_code_bytes": "context code of the map", "map_code_multiple": "transmitted",
+    "steps_after_scans": "time after the last scan",
 }  # fmt: skip
 """Names of metrics and settings, where they differ from their keys."""
 

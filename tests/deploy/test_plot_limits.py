@@ -17,6 +17,7 @@ from deploy.study.plots import Plot
 from deploy.study.results import Results
 from tests.deploy.figure_checks import assert_shows_all, assert_text_fits
 from tests.deploy.small_run import hall
+from tests.worldsim.recorded.made_logs import write_carmen
 
 
 def rows(metric: str, scales: dict[str, float]) -> list[dict[str, Any]]:
@@ -144,3 +145,13 @@ def test_intervals_of_a_share_are_within_0_and_1(monkeypatch: pytest.MonkeyPatch
     assert_shows_all(figure)
     low, high = figure.axes[0].get_ylim()
     assert low == 0.0 and 1.0 <= high < 1.05
+
+
+def test_shares_of_a_replayed_log_refer_to_the_map_of_all_scans(tmp_path: Path, run: Archive) -> None:
+    log = str(write_carmen(tmp_path / "room.log", scans=4))
+    explore(parse({"recording": {"files": [log]}, "robots": 2, "bus": "memory"}), out=tmp_path / "played")
+    played = archive.read(tmp_path / "played")
+    assert figures.channel_load(played).axes[0].get_ylabel() == "% of the map of all scans"
+    assert figures.channel_load(run).axes[0].get_ylabel() == "% of the reachable area"
+    both = figures.compared({"played": played, "run": run}).axes[0].get_ylabel()
+    assert both == "% of the map of all scans or the reachable area, seen by the team"
