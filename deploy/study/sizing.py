@@ -89,7 +89,8 @@ class Option(NamedTuple):
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
         is_word = isinstance(self.bandwidth, str)
         bandwidth = "unlimited bandwidth" if is_word else f"{self.bandwidth} bytes per step"
-        return f"{robots} with {bandwidth} and a range of {self.range}"
+        reach = self.range if self.range.endswith("%") else f"{self.range} m"
+        return f"{robots} with {bandwidth} and a range of {reach}"
 
     @property
     def time(self) -> str:

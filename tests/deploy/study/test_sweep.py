@@ -293,7 +293,9 @@ def test_the_shortest_range_of_a_finished_run_is_named() -> None:
         (3, "9", 1),
         (3, "100%", 1),
     ]
-    assert "the best has 3 robots with unlimited bandwidth" in done.sentence
+    assert "the best has 3 robots with unlimited bandwidth and a range of " in done.sentence
+    assert [str(o).rpartition(" of ")[2] for o in done.options[:2]] == ["9 m", "100%"]
+    assert {panel.get_title() for panel in done.plot().axes} == {"range 9 m", "range 100%"}
 
 
 def test_the_whole_module_is_exported() -> None:
