@@ -2,7 +2,7 @@
 
 maps over time     planning maps, and the outlines that each robot sends (Figure A.2)
 approximation      one robot's own map and its approximation over time (Figure 4.8)
-channel load       explored area over time; transmitted bytes, bytes without budget and undelivered log entries
+channel load       explored area over time; bytes that were transmitted, and that were not; undelivered log entries
                    (Figures 6.17, 6.18)
 """
 
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS, text_color
-from deploy.record.map_pictures import rgb, robot_rgb, save, show_grid
+from deploy.record.map_pictures import area_name, rgb, robot_rgb, save, show_grid
 from deploy.record.number_texts import percent
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
@@ -32,6 +32,8 @@ MOST_ROBOTS = 8
 """Maximum number of columns, one per robot, in the picture of maps over time."""
 MOST_CURVES = 10
 """Maximum number of robots with a curve each."""
+MOST_HEADROOM = 10
+"""Budget over the bytes of the busiest step up to which a figure has a line at the budget."""
 MOMENTS = 6
 LEAST_WIDTH = 3.6
 """Inches of the picture of maps over time at least: as wide as its title."""
@@ -164,8 +166,15 @@ def compared(archives: dict[str, Archive]) -> Figure:
         load.stairs(carried, _edges(archive), color=color, linewidth=1, baseline=None,
                     label=f"{name}: {carried.sum():,.0f} B in total")  # fmt: skip
     if len(budgets) == 1 and WORD_FOR_UNLIMITED not in budgets:
-        load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
-    explored.set(title="Explored", ylabel="% of reachable area, seen by the team", ylim=(0, 102))
+        budget = float(*budgets)
+        if _is_far_above(np.array([budget]), np.array([load.dataLim.y1])):
+            load.plot(
+                [], [], color=RED, linewidth=1.2, label=f"budget: {budget:,.0f} bytes per step, far above"
+            )
+        else:
+            load.axhline(budget, color=RED, linewidth=1.2, label="budget")
+    areas = " or ".join(dict.fromkeys(area_name(archive.plan) for archive in archives.values()))
+    explored.set(title="Explored", ylabel=f"% of {areas}, seen by the team", ylim=(0, 102))
     ylim = 0, max(1.0, load.get_ylim()[1])
     load.set(title="Transmitted", xlabel="step", ylabel="bytes per step", ylim=ylim)
     for panel in (explored, load):
@@ -195,7 +204,7 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
         known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
         curves[robot] = _per_lived_step(archive, robot, changed, known)
     _draw_curves(panel, curves, "on the map of", _mark(archive))
-    panel.set(title="Explored", ylabel="% of reachable area", ylim=(0, 102))
+    panel.set(title="Explored", ylabel=f"% of {area_name(archive.plan)}", ylim=(0, 102))
 
 
 def draw_load(panel: Axes, archive: Archive) -> None:
@@ -216,11 +225,14 @@ def draw_load(panel: Axes, archive: Archive) -> None:
     budgets = archive.budgets[1:]
     title = "Transmitted"
     if np.isfinite(budgets).any():
-        few = f": {budgets[0]:.0f} bytes per step" if len(set(budgets.tolist())) == 1 else ""
-        panel.stairs(budgets, edges, baseline=None, color=RED, linewidth=1.2, label=f"budget{few}")
+        few = f": {budgets[0]:,.0f} bytes per step" if len(set(budgets.tolist())) == 1 else ""
+        if _is_far_above(budgets, below):
+            panel.plot([], [], color=RED, linewidth=1.2, label=f"budget{few}, far above")
+        else:
+            panel.stairs(budgets, edges, baseline=None, color=RED, linewidth=1.2, label=f"budget{few}")
     if np.isfinite(budgets).all():
         used = sum(values.sum() for values in carried.values()) / max(1.0, budgets.sum())
-        title += f": {percent(used, 0)} of the budget"
+        title += f": {percent(used, 0) if used >= 0.01 else 'less than 1 %'} of the budget"
     if len(set(budgets.tolist())) == 1 and 0 < budgets[0] < math.inf:
         hundredth = budgets[0] / 100
         scales = (lambda size: size / hundredth), (lambda share: share * hundredth)
@@ -230,7 +242,7 @@ def draw_load(panel: Axes, archive: Archive) -> None:
 
 
 def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
-    """Draw bytes without budget, and each robot's undelivered log entries on a second axis, which is returned.
+    """Draw bytes that were not transmitted; return a second axis with each robot's undelivered log entries.
 
     With gossip, poses and targets have a share of the budget, so that some are refused although budget is left.
     """
@@ -248,6 +260,11 @@ def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
     _draw_curves(entries, backlogs, "log entries of", _mark(archive))
     entries.set_ylabel("undelivered log entries")
     return entries
+
+
+def _is_far_above(budgets: NDArray[np.float64], carried: NDArray[np.float64]) -> bool:
+    """Return whether bars of the carried bytes would be too low to be seen below a line of the budgets."""
+    return bool(0 < MOST_HEADROOM * carried.max(initial=0.0) < budgets.min())
 
 
 def _edges(archive: Archive) -> NDArray[np.float64]:

@@ -114,7 +114,7 @@ class Frames:
     def _write_head(self, draw: ImageDraw.ImageDraw, step: int) -> None:
         scenario, px = self._archive.plan.scenario, self._px
         limit = scenario.bandwidth
-        medium = limit if isinstance(limit, str) else f"{limit} bytes per step"
+        medium = limit if isinstance(limit, str) else f"{limit:,} bytes per step"
         title = (
             f"{shortened(self._archive.summary['map'])}: {counted(scenario.robots, 'robot')}, "
             f"{shortened(scenario.strategy, 20)}, "

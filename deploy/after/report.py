@@ -29,7 +29,7 @@ from worldsim.atomic_files import write_whole
 REPORT = "report.html"
 
 CAPTIONS = {
-    CHANNEL_LOAD: "Explored area over time; transmitted bytes, bytes without budget and undelivered log entries.",
+    CHANNEL_LOAD: "Explored area over time; bytes that were transmitted, and that were not; undelivered log entries.",
     MAPS_OVER_TIME: "Each robot's planning map over time, and in red the outlines that it sends, if any.",
     APPROXIMATION: "Robot 0's own map, and in red its approximation of it. White outside the line and gray inside "
     "it are errors.",
@@ -44,9 +44,9 @@ FRAMES_CAPTION = (
 )
 WALLS_CAPTION = (
     "Precision: share of the walls on a robot's map that lie within one cell of a true wall. Recall: share of the true "
-    "walls beside reachable cells that have a wall on the map within one cell. F1: their harmonic mean. Teammates' "
-    "walls: share of a teammate's settled walls that the robot's shared map has within the tolerance; the "
-    "mean over teammates, and the smallest share. Walls that had not arrived by the end count as missing. All figures "
+    "walls beside reachable cells that have a wall on the map within one cell. F1: their harmonic mean. Agreement: "
+    "share of a teammate's settled walls that the robot's shared map has within the tolerance; the mean over "
+    "teammates, and the smallest share. Walls that had not arrived by the end count as missing. All figures "
     "follow from the maps that the robots sent at the end."
 )
 MOST_FRAMES, FRAME_WIDTH, PAIR_WIDTH = 40, 1120, 840
@@ -126,7 +126,7 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
     summary = archive.summary
     scenario = (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
     return _render(
-        f"{counted(summary['robots'], 'robot')} on {summary['map']}",
+        f"{counted(summary['robots'], 'robot')} {'in' if summary['range_m'] is None else 'on'} {summary['map']}",
         [report_rows.abstract(summary)],
         [
             Section("The run", [Table(report_rows.figure_rows(summary), has_head=False, is_text=True)]),

@@ -79,7 +79,7 @@ def traffic_rows(names: list[str], summaries: list[dict[str, Any]]) -> list[list
 def abstract(summary: dict[str, Any]) -> str:
     """How a run ended, and with which radio, in two sentences."""
     budget = summary["bandwidth"]
-    medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes per step"
+    medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget:,} bytes per step"
     reach = "in the field" if summary["range_m"] is None else f"range {summary['range_m']:.1f} m"
     radio = f"Radio: {medium}, {reach}; map encoding: {summary['map_encoding']}."
     if "scans" in summary:
@@ -172,7 +172,7 @@ def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:
     if (held := summary.get("walls_within_tolerance")) is not None:
         worst = _percent(summary["worst_walls_within_tolerance"])
         fit = f"mean {_percent(held)}, worst pair {worst}, within {counted(summary['tolerance'], 'cell')}"
-        rows.append(["teammates' walls on a robot's shared map", fit])
+        rows.append(["agreement of walls", fit])
     return rows
 
 
@@ -183,8 +183,8 @@ def wall_rows(summary: dict[str, Any]) -> list[list[str]]:
         "wall_precision": "precision",
         "wall_recall": "recall",
         "wall_f1": "F1",
-        "walls_within_tolerance": f"teammates' walls {within}",
-        "worst_walls_within_tolerance": f"worst teammate's walls {within}",
+        "walls_within_tolerance": f"agreement {within}",
+        "worst_walls_within_tolerance": f"worst agreement {within}",
     }
     maps: dict[str, dict[str, float | None]] = summary.get("robot_maps", {})
     rows = [[robot, *(_percent(figures[name]) for name in names)] for robot, figures in maps.items()]

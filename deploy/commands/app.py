@@ -51,7 +51,7 @@ COMMANDS = {
     "chaos": Entry("chaos", "Run swarms under random faults, and check their invariants."),
     "robot": Entry("robot", "Run one robot of a team in the field."),
     "stop": Entry("robot", "Stop robots in the field that run on this host."),
-    "keys": Entry("keys", "Create certificates for the participants of a run."),
+    "keys": Entry("keys", "Create certificates for a run, or the key of a team in the field."),
     "serve-ros2": Entry("serve", "Serve simulated robots that look like ROS 2 robots over Zenoh."),
     "run": Entry("by_hand", "Start one process of a run by hand."),
     "bench": Entry("bench", "Benchmark this machine: ratios to references of the same run."),

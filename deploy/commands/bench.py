@@ -21,43 +21,43 @@ def bench(
     names: Annotated[
         list[str] | None,
         argument(
-            "NAME",
+            "NAME...",
             "kernels, swarm, replanning, relay, scale, field; default: all of these. "
             "Or strategies: the league table; or peers: the rules of other simulators",
         ),
     ] = None,
     robots: Annotated[
-        list[int] | None, option("N", "team size for scale and strategies; repeatable", min=1, max=256)
+        list[int] | None, option("N", "team size for `scale` and `strategies`; repeatable", min=1, max=256)
     ] = None,
     maps: Annotated[
         list[str] | None,
-        option("FILE|NAME", "a map for strategies (default office); repeatable", name="--map"),
+        option("FILE|NAME", "a map for `strategies` (default office); repeatable", name="--map"),
     ] = None,
     strategies: Annotated[
         list[str] | None,
         option(
             "NAME",
-            "strategy of strategies (default: all) and scale (default: meier); repeatable",
+            "for `strategies` (default: all) and `scale` (default: meier); repeatable",
             name="--strategy",
         ),
     ] = None,
     seeds: Annotated[
-        int | None, option("N", "seeds per map and team of strategies (default 3)", min=1, max=MAX_RUNS)
+        int | None, option("N", "seeds per map and team of `strategies` (default 3)", min=1, max=MAX_RUNS)
     ] = None,
     settings: Annotated[
         list[str] | None,
-        option("KEY=VALUE", "a setting of all scenarios for strategies; repeatable", name="--set"),
+        option("KEY=VALUE", "a setting of all runs of `strategies`; repeatable", name="--set"),
     ] = None,
-    picture: Annotated[Path | None, file_option("FILE.png", "draw the league table")] = None,
+    picture: Annotated[Path | None, file_option("FILE.png", "draw the league table of `strategies`")] = None,
     jobs: Annotated[
-        int | None, option("N", "processes for strategies (default: one per core)", min=1)
+        int | None, option("N", "processes for `strategies` (default: one per core)", min=1)
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Benchmark this machine: each value as a ratio to a baseline measured in the same run.
 
-    ``murmur bench strategies`` prints the league table: all strategies on the same maps, from the same starts, as
-    multiples of the steps of a plan that knows the map (docs/results/strategies.md). ``murmur bench peers`` takes
+    `murmur bench strategies` prints the league table: all strategies on the same maps, from the same starts, as
+    multiples of the steps of a plan that knows the map (docs/results/strategies.md). `murmur bench peers` takes
     minutes: strategies by the rules of other simulators (docs/peers.md).
     """
     if names == ["strategies"]:

@@ -22,7 +22,7 @@ from deploy.scenario.toml_files import read_toml
 app = command_family()
 
 
-@app.command(cls=flags.GroupedCommand)
+@app.command()
 @run_flags()
 @view_flags
 def explore(
@@ -37,7 +37,12 @@ def explore(
         ),
     ] = None,
     thesis: Annotated[
-        bool, switch("--thesis", "the rules of the thesis, without later additions", flags.RADIO)
+        bool,
+        switch(
+            "--thesis",
+            "map encoding, dissemination, and strategy of Meier's thesis (docs/settings.md)",
+            flags.RADIO,
+        ),
     ] = False,
     restart: Annotated[
         bool, switch("--restart", "restart processes that die, and continue (docs/reliability.md)", flags.RUN)

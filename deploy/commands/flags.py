@@ -81,12 +81,12 @@ def _parameters(function: Callable[..., Any]) -> list[Flag]:
 
 def command_family() -> typer.Typer:
     """The commands of one module, for `deploy.commands.app` to find by name."""
-    return typer.Typer(rich_markup_mode=None)
+    return CommandFamily(rich_markup_mode=None)
 
 
 def subcommands(family: typer.Typer, name: str, help: str) -> typer.Typer:
     """Add a command with subcommands to the commands of a module; return it."""
-    parent = typer.Typer(cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help=help)
+    parent = CommandFamily(cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help=help)
     family.add_typer(parent, name=name)
     return parent
 
@@ -189,16 +189,40 @@ class Subcommands(TyperGroup):
 
 
 class GroupedCommand(TyperCommand):
-    """A command whose help lists flags by group, as plain text; typer itself groups flags only in Rich boxes."""
+    """A command whose help lists flags by group, as plain text; typer itself groups flags only in Rich boxes.
+
+    Arguments have the names that their metavars give. Typer adds types of Python, and dots behind those of a metavar.
+    """
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Name the options and arguments of a call; those that may be left out are in brackets."""
+        arguments = [each for each in self.get_params(ctx) if each.param_type_name == "argument"]
+        return [
+            "[OPTIONS]",
+            *(f"{each.metavar}" if each.required else f"[{each.metavar}]" for each in arguments),
+        ]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the flags of each group under its name, in the order in which groups first occur."""
-        groups: dict[str, list[tuple[str, str]]] = {}
+        """Write arguments, flags without a group, and those of each group, in the order in which groups first occur."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
-            if record is not None:
+            if record is None:
+                continue
+            if parameter.param_type_name == "argument":
+                groups["Arguments"].append((f"{parameter.metavar}", record[1]))
+            else:
                 group = getattr(parameter, "rich_help_panel", None) or "Options"
                 groups.setdefault(group, []).append(record)
         for group, records in groups.items():
-            with formatter.section(group):
-                formatter.write_dl(records)
+            if records:
+                with formatter.section(group):
+                    formatter.write_dl(records)
+
+
+class CommandFamily(typer.Typer):
+    """Commands whose help is that of `GroupedCommand`."""
+
+    def command(self, name: str | None = None, **settings: Any) -> Any:
+        """Add a command, as `typer.Typer.command` does."""
+        return super().command(name, **{"cls": GroupedCommand} | settings)

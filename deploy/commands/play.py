@@ -44,7 +44,7 @@ LOG_FLAGS = {
 }
 
 
-@app.command(cls=flags.GroupedCommand)
+@app.command()
 @run_flags(*NOT_PLAYED, more=LOG_FLAGS)
 @view_flags
 def play(

@@ -35,7 +35,7 @@ def radio_coverage(
     map_: Annotated[str, option("FILE|NAME", "the building", name="--map")] = "office",
     map_seed: Annotated[int, option("S", "the generator's seed", min=0)] = 0,
     resolution: Annotated[
-        float | None, option("M", "meters per cell of a generated map or a picture")
+        float | None, option("M", "meters per cell of a generated map, or of a map that is a picture")
     ] = None,
     at: Annotated[str | None, option("X,Y", "the place in meters (default: where robots start)")] = None,
     out: Annotated[Path, file_option("FILE.png", "the picture")] = Path("coverage.png"),

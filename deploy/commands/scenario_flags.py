@@ -37,7 +37,9 @@ SET_OPTION = option(
 
 KEYS = {
     "map_options.resolution": flag(
-        "resolution", float, option("METERS", "cell size of a generated map or a picture", WORLD)
+        "resolution",
+        float,
+        option("METERS", "cell size of a generated map, or of a map that is a picture", WORLD),
     ),
     "laser.preset": flag(
         "laser", str, option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)

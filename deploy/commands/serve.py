@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, flag, option, switch
+from deploy.commands.flags import ROBOTS, command_family, flag, option, switch
 from deploy.commands.scenario_flags import run_flags
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario, load
@@ -38,7 +38,7 @@ SERVED = {
 }
 
 
-@app.command("serve-ros2", cls=GroupedCommand)
+@app.command("serve-ros2")
 @run_flags(*NOT_SERVED, "radio.preset", "step_s", more=SERVED)
 def serve_ros2(
     names: Annotated[str | None, option("A,B,...", "namespaces (default r0,r1,...)", ROS)] = None,

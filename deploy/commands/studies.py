@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from deploy.commands.console import errors, screen
 from deploy.commands.flag_values import named_values, names, whole_numbers
 from deploy.commands.flags import (
-    GroupedCommand,
     argument,
     command_family,
     figure_flags,
@@ -38,7 +37,7 @@ BANDWIDTHS, RANGES = ("100", "1000", "10000"), ("30%", "100%")
 """Bandwidths and ranges that `murmur size` tries by default."""
 
 
-@app.command(cls=GroupedCommand)
+@app.command()
 @figure_flags
 def sweep(
     experiment: Annotated[Path, argument("EXPERIMENT.toml", "the experiment's file (docs/experiments.md)")],
@@ -114,7 +113,7 @@ def _sweep_settings(texts: list[str], seeds: int | None, test_seeds: int | None)
     return settings | {"seed": given[flag] for flag in chosen}  # noqa: B035  at most one
 
 
-@app.command(cls=GroupedCommand)
+@app.command()
 @figure_flags
 def reproduce(
     claim: Annotated[
@@ -158,7 +157,7 @@ def reproduce(
     end_study([cause for part in parts for cause in part.failures], 0 if done.all_hold else 1)
 
 
-@app.command(cls=GroupedCommand)
+@app.command()
 @setting_flags("map", "seed", "bus")
 @figure_flags
 def compare(
@@ -170,7 +169,9 @@ def compare(
     radios: Annotated[str | None, option("A,B,...", "radio presets to compare")] = None,
     map_: Annotated[list[str] | None, option("FILE|NAME", "on this map; repeatable", name="--map")] = None,
     seeds: Annotated[int, option("N", "run the seeds 0 to N - 1", min=2, max=MAX_RUNS)] = 10,
-    metric: Annotated[str, option("NAME", "metric to compare (docs/experiments.md)")] = "steps",
+    metric: Annotated[
+        str, option("NAME", "key of summary.json to compare, as bytes.total (docs/reference/files.md)")
+    ] = "steps",
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
@@ -181,7 +182,7 @@ def compare(
 ) -> None:
     """Compare scenarios, strategies, map encodings or radios on the same seeds, with confidence intervals.
 
-    With one scenario file, the others are compared with its settings, as radios for a log.
+    With one scenario file, all strategies, map encodings, or radios have its settings.
 
     Exit code 3: runs failed.
     """
@@ -219,7 +220,7 @@ def compare(
     end_study(done.sweep.failures)
 
 
-@app.command(cls=GroupedCommand)
+@app.command()
 @setting_flags("map", "robots", "range", "bandwidth", "finish", "seed", "bus")
 @figure_flags
 def size(
@@ -236,7 +237,7 @@ def size(
         str | None, option("METERS|P%,...", f"ranges to try (default {','.join(RANGES)})", name="--range")
     ] = None,
     deadline: Annotated[
-        int | None, option("STEPS", "longest time that an exploration may take", min=1)
+        int | None, option("STEPS", "longest time that an exploration may take (default: any)", min=1)
     ] = None,
     min_map_accuracy: Annotated[
         float, option("SHARE", "smallest share of the building that a map must show correctly", min=0, max=1)

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from deploy.commands.console import errors, fail, screen
+from deploy.record.number_texts import counted
 from deploy.run.exit_codes import BROKEN_OFF, INTERRUPTED
 
 FILE_WIDTH = 160
@@ -29,9 +30,9 @@ def report_sweep(sweep: Any) -> None:
     if not runs and sweep.failures:
         fail("all runs failed", BROKEN_OFF)
     if runs:
-        of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
-        intervals = " with 95 % intervals" if table.interval else ""
-        screen.print(f"{' '.join(table.values)}, means of {runs}{of} runs{intervals}")
+        made = f"{runs} of {len(sweep.cases)} runs" if runs < len(sweep.cases) else counted(runs, "run")
+        intervals = ", with 95 % intervals" if table.interval else ""
+        screen.print(f"{made}; means of n each{intervals}:")
         print_table(tabulate(table, sweep.rows))
 
 

@@ -177,7 +177,7 @@ def _wall_line(summary: dict[str, Any]) -> list[str]:
     if (held := summary["walls_within_tolerance"]) is not None:
         cells, worst = summary["tolerance"], _percent(summary["worst_walls_within_tolerance"])
         within = f"within {counted(cells, 'cell')}"
-        parts.append(f"robots hold {_percent(held)} of each other's {within} (worst pair {worst})")
+        parts.append(f"agreement {_percent(held)} {within} (worst pair {worst})")
     return [f"Walls: {'; '.join(parts)}."] if parts else []
 
 

@@ -129,7 +129,7 @@ class Window:
             self._tell(f"Dashboard: {self.address}")
         else:
             self._tell(f"Dashboard for you: {self.address}")
-            self._tell(f"Dashboard for the class, only to watch: {self._page.url(controls=False)}")
+            self._tell(f"Dashboard for others, only to watch: {self._page.url(controls=False)}")
 
     def _close_viewer(self) -> None:
         if self._viewer is not None and self._viewer.poll() is None:

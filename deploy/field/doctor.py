@@ -16,6 +16,7 @@ from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Listener, ReceivedTopic
 from deploy.field.robot_file import RobotFile, radio_text
 from deploy.field.robot_plan import map_frame
+from deploy.record.number_texts import counted
 from protocol.nanoseconds import SECOND
 from protocol.ros2.graph import Graph
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
@@ -190,7 +191,7 @@ class RobotDoctor:
             senders = ", ".join(sorted(each.node.full_name for each in publishers))
             raise Trouble(f"{len(publishers)} publishers send {received.topic}: {senders}", ONE_ROBOT)
         rate = f", {received.rate:.1f} per second" if name in ("scan", "tf") and received.rate else ""
-        return f"{len(received.arrived)} messages on {received.topic}{rate}"
+        return f"{counted(len(received.arrived), 'message')} on {received.topic}{rate}"
 
     def frames(self) -> str:
         """Check that transforms connect the sensor to the map frame, and that the robot is on the grid."""

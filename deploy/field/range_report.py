@@ -39,9 +39,9 @@ class RangeReport:
             yield f"the radio has not accepted {unsent} frames: is the interface up, or the modem connected?"
 
     def _text(self, in_range: list[int], ended: list[int], *, is_alone: bool) -> str:
-        text = f"teammates in range: {_numbers(in_range) or 'none'}"
+        text = f"teammates in range: {_robots(in_range) if in_range else 'none'}"
         if ended:
-            text += f"; ended: {_numbers(ended)}"
+            text += f"; ended: {_robots(ended)}"
         if is_alone:
             seconds = f"{self._timeout / SECOND:.3g} s"
             text += f"; this robot has accepted no frame for {seconds}, and explores alone"
@@ -49,5 +49,5 @@ class RangeReport:
         return text
 
 
-def _numbers(robots: list[int]) -> str:
-    return ", ".join(map(str, robots))
+def _robots(numbers: list[int]) -> str:
+    return f"robot{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"

@@ -59,7 +59,7 @@ def draw_coverage(path: Path, plans: Mapping[str, Plan]) -> dict[str, float]:
         axes.plot(left + (x + 0.5) * cell, top - (y + 0.5) * cell, "o", color="#d55e00", markersize=6)
         axes.set_title(f"{name}: {percent(shares[name], 0)} of the free cells", fontsize=10)
     bar = figure.colorbar(image, ax=panels.tolist(), location="bottom", shrink=0.5, ticks=STEPS_DB[:-1])
-    bar.set_label("margin, dB; white: out of range", fontsize=8)
+    bar.set_label("margin, dB; white: out of range; dot: the sender", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     save(path, figure, dpi=110)
     return shares

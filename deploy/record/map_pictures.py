@@ -118,7 +118,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     seen = records.team_map(summary["refuted_maps"])
     reachable = plan.reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
-    team.tick_params(labelbottom=False, labelleft=False)
+    team.tick_params(bottom=False, left=False, labelbottom=False, labelleft=False)
     share = f": {percent(summary['coverage'])}" if plan.has_truth else ""
     _set_title(team, f"seen by the team{share}", 11)
     width = panels[0].get_position().width * PAGE_WIDTH if panels else 0
@@ -138,7 +138,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
             title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
         _set_title(panel, title, size, color=rgb(colors.text_color(robot)))
     bandwidth = summary["bandwidth"]
-    medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
+    medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth:,} bytes per step"
     top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
         f"{shortened(plan.map.name)}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
@@ -156,6 +156,12 @@ def _reference(plan: Plan) -> tuple[str, str, dict[int, str]]:
     if plan.recording is not None:
         return "the map of all scans", "equal", SCAN_DIFFERENCES
     return "the world", "correct", ERRORS
+
+
+def area_name(plan: Plan) -> str:
+    """Return what shares of the explored area refer to."""
+    what, *_ = _reference(plan)
+    return "the reachable area" if what == "the world" else what
 
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:

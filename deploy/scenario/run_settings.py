@@ -21,8 +21,7 @@ class RunSettings(Table):
     )
     clock: Literal["barrier", "wall", "field"] = Field(
         "barrier",
-        description="barrier: a step waits for all robots; wall: it ends on time (docs/clocks.md); field: only records "
-        "of robots in the field have it (docs/field.md)",
+        description="barrier: a step waits for all robots; wall: it ends on time (docs/clocks.md)",
     )
     step_s: float = Field(
         1.0, strict=True, ge=0.01, le=60.0, description="duration of a step by the wall clock, seconds"

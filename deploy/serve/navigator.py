@@ -220,7 +220,7 @@ class Navigator:
             is_near = math.dist(goal[:2], last[:2]) <= TOLERANCE_M
             return goal if is_near and self._is_straight(place, self._place(goal)) else last
         ahead = min(LOOKAHEAD, len(self.path) - 1)
-        while ahead > 1 and not self._is_straight(place, self.path[ahead] + 0.5):
+        while ahead and not self._is_straight(place, self.path[ahead] + 0.5):
             ahead //= 2
         return self._center(tuple(self.path[ahead].tolist()))
 

@@ -110,7 +110,7 @@ def compare(
     seeds : int
         Number of runs of each scenario on each map, at least 2.
     metric : str
-        The compared metric, as in tables (docs/experiments.md).
+        The compared metric, a key of ``summary.json`` (docs/reference/files.md).
     **settings
         Settings of all scenarios; lists are factors: ``map=["office", "mixed"], robots=4``.
 

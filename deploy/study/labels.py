@@ -18,6 +18,7 @@ NAMES: Final = {
     "longest_path_99": "longest path to 99 %", "overlap_sum": "overlap, summed",
     "seen_std": "standard deviation of seen shares", "known_at": "time until a robot knows the full map",
     "map_code_bytes": "context code of the map", "map_code_multiple": "transmitted",
+    "steps_after_scans": "time after the last scan",
 }  # fmt: skip
 """Names of metrics and settings, where they differ from their keys."""
 
@@ -76,7 +77,8 @@ def label(text: str) -> str:
 
 def level(key: str, value: Any, text: str) -> str:
     """The label of a setting's value, as the title of a panel: ``sensor range 3 m``; `text` is the value as text."""
-    with_unit = f"{text} {unit(key)}".rstrip() if isinstance(value, int | float) else text
+    is_number = isinstance(value, int | float) or (key == "range" and text.replace(".", "", 1).isdecimal())
+    with_unit = f"{text} {unit(key)}".rstrip() if is_number else text
     return f"{key.rpartition('.')[2].replace('_', ' ')} {with_unit}"
 
 

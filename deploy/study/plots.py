@@ -174,17 +174,20 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level],
     places = np.array(numbers if is_axis else range(len(levels)), float)
     is_log = is_axis and figure_layout.spread(numbers)
     shown = np.log(places) if is_log else places
-    nudge = 0.02 * np.ptp(shown) if len(shown) else 0.0
+    nudge = 0.02 * (np.ptp(shown) if len(shown) > 1 else 1.0)
     for n, (line, name) in enumerate(lines):
         of_line = _of(rows, plot.lines, line)
         means = [interval(_metrics(plot, _of(of_line, plot.x, level))) for level in levels]
         there = np.array([bool(mean.n) for mean in means], np.bool_)
         if there.any():
+            middle, low, high = np.array([(m.mean, m.low, m.high) for m in means if m.n]).T
+            low = np.where(middle < 0, low, np.maximum(low, 0.0))
+            high = np.minimum(high, 1.0) if plot.y in SHARES else high
             at = shown + nudge * (n - (len(lines) - 1) / 2)
             panel.errorbar(
                 (np.exp(at) if is_log else at)[there],
-                [mean.mean for mean in means if mean.n],
-                np.nan_to_num([mean.half for mean in means if mean.n]),
+                middle,
+                np.nan_to_num([middle - low, high - middle]),
                 label=name, color=COLORS[n % len(COLORS)],
                 marker=MARKERS[n % len(MARKERS)], markersize=4, linewidth=1.3, capsize=2,
             )  # fmt: skip
@@ -192,6 +195,8 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level],
         panel.set_xscale("log")
         panel.minorticks_off()
     panel.set_xticks(places, [name for _, name in _named(rows, plot.x)])
+    if len(places) == 1:
+        panel.set_xlim(places[0] - 0.5, places[0] + 0.5)
 
 
 def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level], _: Results) -> None:

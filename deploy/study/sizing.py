@@ -89,12 +89,14 @@ class Option(NamedTuple):
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
         is_word = isinstance(self.bandwidth, str)
         bandwidth = "unlimited bandwidth" if is_word else f"{self.bandwidth} bytes per step"
-        return f"{robots} with {bandwidth} and a range of {self.range}"
+        reach = self.range if self.range.endswith("%") else f"{self.range} m"
+        return f"{robots} with {bandwidth} and a range of {reach}"
 
     @property
     def time(self) -> str:
         """Mean steps and half of their interval, as text."""
-        return f"{self.steps.mean:.0f} steps" + (f" ± {self.steps.half:.0f}" if self.steps.n > 1 else "")
+        half = f" ± {self.steps.half:.0f}" if self.steps.n > 1 else ""
+        return f"{self.steps.mean:.0f}{half} steps"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,6 +151,7 @@ class Sizing:
             for panel in canvas.axes:
                 panel.axhline(deadline, color="#555555", linewidth=1, linestyle="--")
                 panel.set_ylim(top=max(1.05 * deadline, panel.get_ylim()[1]))
+            panel.text(1.01, deadline, "deadline", transform=panel.get_yaxis_transform(), va="center")
         return canvas
 
     def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:

@@ -17,6 +17,7 @@ from deploy.study.plots import Plot
 from deploy.study.results import Results
 from tests.deploy.figure_checks import assert_shows_all, assert_text_fits
 from tests.deploy.small_run import hall
+from tests.worldsim.recorded.made_logs import write_carmen
 
 
 def rows(metric: str, scales: dict[str, float]) -> list[dict[str, Any]]:
@@ -38,6 +39,33 @@ def test_panels_of_different_scales_show_all_points(kind: Any, log: bool, scales
     assert_shows_all(plots.draw(plot, rows("steps", scales), Results(None)))
 
 
+def test_intervals_of_means_of_few_runs_end_where_no_run_can_be() -> None:
+    steps = [
+        {
+            "key": f"{run}",
+            "place": {"robots": 2, "variant": "a"},
+            "finished": True,
+            "coverage": 1.0,
+            "steps": at,
+        }
+        for run, at in enumerate((10.0, 200.0))
+    ]
+    (panel,) = plots.draw(Plot("steps", "robots"), steps, Results(None)).axes
+    assert panel.get_ylim()[0] == 0
+    shares = [row | {"coverage": share} for row, share in zip(steps, (0.99, 1.0), strict=True)]
+    (panel,) = plots.draw(Plot("coverage", "robots"), shares, Results(None)).axes
+    assert panel.get_ylim()[1] < 1.1
+
+
+def test_lines_of_one_value_lie_beside_each_other() -> None:
+    runs = [row for row in rows("steps", {"one": 100.0}) if row["place"]["robots"] == 2]
+    (panel,) = plots.draw(Plot("steps", "robots"), runs, Results(None)).axes
+    places = {
+        float(line.get_xdata()[0]) for line in panel.get_lines() if line.get_marker() in plots.MARKERS[:2]
+    }
+    assert len(places) == 2
+
+
 def test_shares_up_to_the_whole_are_shown() -> None:
     assert_shows_all(plots.draw(Plot("coverage", "robots"), rows("other", {"one": 1.0}), Results(None)))
 
@@ -55,6 +83,20 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Archive:
     settings = {"robots": 3, "bandwidth": 60, "steps": 40, "seed": 2, "bus": "memory", "map": "office"}
     explore(parse(settings), out=out)
     return archive.read(out)
+
+
+def test_bars_are_seen_below_a_budget_that_is_far_above(tmp_path: Path) -> None:
+    for bandwidth, is_drawn in ((60, True), (1_000_000, False)):
+        settings = {"robots": 2, "bandwidth": bandwidth, "steps": 5, "bus": "memory", "map": "office"}
+        explore(parse(settings), out=tmp_path / f"{bandwidth}")
+        archives = {"one": archive.read(tmp_path / f"{bandwidth}")}
+        (_, load, *_), (_, other) = (
+            figure.axes for figure in (figures.channel_load(archives["one"]), figures.compared(archives))
+        )
+        for panel in (load, other):
+            assert (panel.get_ylim()[1] >= bandwidth) == is_drawn
+            labels = panel.get_legend_handles_labels()[1]
+            assert any("1,000,000 bytes per step, far above" in label for label in labels) != is_drawn
 
 
 def test_figures_of_a_run_show_all_points(run: Archive) -> None:
@@ -103,3 +145,13 @@ def test_intervals_of_a_share_are_within_0_and_1(monkeypatch: pytest.MonkeyPatch
     assert_shows_all(figure)
     low, high = figure.axes[0].get_ylim()
     assert low == 0.0 and 1.0 <= high < 1.05
+
+
+def test_shares_of_a_replayed_log_refer_to_the_map_of_all_scans(tmp_path: Path, run: Archive) -> None:
+    log = str(write_carmen(tmp_path / "room.log", scans=4))
+    explore(parse({"recording": {"files": [log]}, "robots": 2, "bus": "memory"}), out=tmp_path / "played")
+    played = archive.read(tmp_path / "played")
+    assert figures.channel_load(played).axes[0].get_ylabel() == "% of the map of all scans"
+    assert figures.channel_load(run).axes[0].get_ylabel() == "% of the reachable area"
+    both = figures.compared({"played": played, "run": run}).axes[0].get_ylabel()
+    assert both == "% of the map of all scans or the reachable area, seen by the team"

@@ -111,7 +111,7 @@ def test_a_page_shows_how_well_each_robots_walls_fit(tmp_path: Path) -> None:
     summary = explore(noisy, out=tmp_path / "run").summary
     words = Page(write_report(tmp_path / "run").read_text(encoding="utf-8")).words
     table = words.split("Walls on the robots' maps")[1].split("Precision:")[0]
-    assert "teammates' walls within 1 cell" in table
+    assert "agreement within 1 cell" in table
     for figures in summary["robot_maps"].values():
         walls = [value for name, value in figures.items() if "wall" in name]
         shown = r"\s+".join(f"{100 * value:.1f} %" for value in walls)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -48,6 +49,7 @@ def test_each_command_and_flag_has_help(words: str) -> None:
         if isinstance(parameter, TyperOption):
             assert max(parameter.opts, key=len) in output
             assert parameter.is_flag or parameter.metavar, f"{parameter.name} shows a type of Python's"
+    assert not re.search(r"<\w|\.\.\.[\]}]?\.\.\.", output), "a type of Python's, or dots twice"
     for name, inner in getattr(command, "commands", {}).items():
         assert f"{name} {inner.get_short_help_str(sys.maxsize)}" in output
 
@@ -57,6 +59,17 @@ def test_help_has_a_first_command_and_the_exit_codes() -> None:
     assert "Start with: murmur explore --robots 5" in output
     assert "0 explored, 1 not finished" in output
     assert "2 bad input, 3 a process died" in output
+
+
+def test_usage_names_arguments_once_and_in_brackets_if_they_may_be_left_out() -> None:
+    for words, usage in (
+        (("play",), "play [OPTIONS] LOG..."),
+        (("report",), "report [OPTIONS] DIR [OTHER]"),
+        (("bench",), "bench [OPTIONS] [NAME...]"),
+    ):
+        output = murmur(*words, "--help").stdout
+        assert output.splitlines()[0].endswith(usage)
+        assert f"\nArguments:\n  {usage.partition('[OPTIONS] ')[2].strip('[').removesuffix('...]')}" in output
 
 
 def test_without_arguments_help_is_printed() -> None:

@@ -83,8 +83,8 @@ def test_a_robot_that_cannot_drive_gets_the_map_of_its_teammate_over_udp(start: 
     second, two = start("r1", stuck, robots=2, robot=1, finish_s=8.0)
     assert (one.wait(), two.wait()) == (0, 0), one.output + two.output
     assert any('"neighbors": [1]' in each for each in first.statuses)
-    assert "teammates in range: 1\n" in one.output
-    assert "teammates in range: 0\n" in two.output
+    assert "teammates in range: robot 1\n" in one.output
+    assert "teammates in range: robot 0\n" in two.output
     seen, free = json.loads(second.statuses[-1])["known_cells"], np.count_nonzero(house() == FREE)
     assert seen < 0.8 * free
     wait_until(lambda: known_share(second.team_map, house()) > 0.95)

@@ -54,6 +54,14 @@ def test_a_robot_drives_through_a_door_to_its_goal_and_turns_as_the_goal_says(
     assert robot.velocity == (0.0, 0.0)
 
 
+def test_a_robot_leaves_the_corner_of_a_cell_beside_a_wall() -> None:
+    robots = swarm(FIRST_ROOM, speed=1.0)
+    for place in ((1.0, 1.9), (1.7, 0.7), (1.0, 1.9), (3.3, 1.6), (0.6, 0.6)):
+        task = robots.robots[0].go(goal_at(robots.robots[0], place), robots.now_ns)
+        run(robots, 25)
+        assert task.outcome is Outcome.REACHED
+
+
 def test_the_goal_of_a_closed_room_is_unreachable() -> None:
     team = swarm(FIRST_ROOM)
     robot = team.robots[0]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from deploy.commands.app import app
+from deploy.run.workers import workers
 from deploy.scenario.errors import ScenarioError
 from deploy.study import measures, reproduction, runs
 from deploy.study.claims import UNDECIDED, judge
 from deploy.study.reproduction import CLAIMS, requested
+from deploy.study.results import Results
 
 
 def test_there_are_24_claims_and_experiments_name_no_others() -> None:
@@ -38,6 +41,16 @@ def test_a_claim_on_real_buildings_is_undecided_without_their_maps(
     assert runs.cases(experiment) == []
     assert experiment.claim is not None
     assert judge([(experiment.claim.rule, [])]).result == UNDECIDED
+
+
+def test_a_page_has_no_links_but_to_its_own_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MURMUR_MAPS", "nowhere")
+    with Results(None) as results:
+        found = requested(["M8"], quick=True, settings={})
+        done = reproduction.reproduce(found, results, workers(1, None), quick=True)
+        page, *_ = reproduction.write(done, tmp_path / "page", "murmur reproduce M8")
+    links = re.findall(r"\]\(([^)#]+)\)", page.read_text())
+    assert [link for link in links if not (tmp_path / link).exists()] == []
 
 
 def test_an_unknown_claim_is_named() -> None:

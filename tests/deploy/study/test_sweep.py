@@ -252,7 +252,9 @@ def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
         done.sentence.startswith("3 robots with ")
         and "2 of 2 runs (at least 34 % of all runs" in done.sentence
     )
+    assert re.search(r": in \d+ ± \d+ steps, 2 of 2 runs", done.sentence)
     assert [file.name for file in done.write(tmp_path)] == ["size.png", "size.csv"]
+    assert [text.get_text() for panel in done.plot().axes for text in panel.texts] == ["deadline"]
     assert "<img" in done._repr_html_()
     never = size("leader-rooms", deadline=3, out=out, **tried, **settings, **QUIET)
     assert never.enough is None and never.sentence.startswith(
@@ -291,7 +293,9 @@ def test_the_shortest_range_of_a_finished_run_is_named() -> None:
         (3, "9", 1),
         (3, "100%", 1),
     ]
-    assert "the best has 3 robots with unlimited bandwidth" in done.sentence
+    assert "the best has 3 robots with unlimited bandwidth and a range of " in done.sentence
+    assert [str(o).rpartition(" of ")[2] for o in done.options[:2]] == ["9 m", "100%"]
+    assert {panel.get_title() for panel in done.plot().axes} == {"range 9 m", "range 100%"}
 
 
 def test_the_whole_module_is_exported() -> None:
