@@ -201,7 +201,7 @@ class Recorder:
         numbers = [
             strip
             for robot, place in zip(robots, places, strict=True)
-            for strip in shapes.number_strips(robot, place, 1.1 * self._disc)
+            for strip in shapes.number_strips(robot, place, self._disc)
         ]
         self._log("world/robots/numbers", rr.LineStrips2D.from_fields(strips=numbers))
         reach = events.range_m

@@ -36,6 +36,9 @@ _STROKES: tuple[tuple[Strip, ...], ...] = (
 )
 """The strokes of each digit in a box of 1 x 2, y down."""
 
+TALLEST, WIDEST = 0.55, 0.8
+"""Half of a number's height, and of its diagonal, at most, in radii of its disc."""
+
 
 def map_picture(width: int, height: int, cells: bytes) -> bytes:
     """Return a PNG picture of a grid as `protocol.cell_bytes.grid_to_bytes` packs it, two bits per cell."""
@@ -51,11 +54,12 @@ def flip(place: Point) -> Point:
     return place[0], -place[1]
 
 
-def number_strips(number: int, center: Point, height: float) -> list[Strip]:
-    """Draw a number as strokes around a position: readable on a disc of any color, at any zoom."""
+def number_strips(number: int, center: Point, radius: float) -> list[Strip]:
+    """Draw a number as strokes on a disc of this radius: readable on any color, at any zoom."""
     digits = str(number)
-    scale = height / 2
-    width = scale * (1.6 * len(digits) - 0.6)
+    boxes = 1.6 * len(digits) - 0.6
+    scale = radius * min(TALLEST, WIDEST / math.hypot(boxes / 2, 1))
+    width = scale * boxes
     return [
         [(center[0] - width / 2 + scale * (1.6 * place + x), center[1] + scale * (y - 1)) for x, y in stroke]
         for place, digit in enumerate(digits)

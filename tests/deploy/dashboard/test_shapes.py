@@ -78,14 +78,13 @@ def test_an_outline_is_closed_and_lies_on_the_map_where_its_vertices_do() -> Non
     assert outline_strips(world(), b"") == []
 
 
-@pytest.mark.parametrize("number", [0, 7, 10, 63])
-def test_a_number_is_written_around_its_place(number: int) -> None:
+@pytest.mark.parametrize(("number", "height"), [(0, 2.2), (8, 2.2), (10, 1.95), (63, 1.95), (200, 1.37)])
+def test_a_number_fits_on_the_disc_around_its_place(number: int, height: float) -> None:
     strips = number_strips(number, (5.0, -3.0), 2.0)
-    x = [x for strip in strips for x, _ in strip]
-    y = [y for strip in strips for _, y in strip]
-    assert min(y) == -4.0
-    assert max(y) == -2.0
-    assert 5.0 - 1.0 * len(str(number)) <= min(x) < max(x) <= 5.0 + 1.0 * len(str(number))
+    points = np.array([point for strip in strips for point in strip]) - (5.0, -3.0)
+    assert np.hypot(*points.T).max() <= 0.8 * 2.0 + 1e-9
+    assert points[:, 1].min() == pytest.approx(-height / 2, abs=0.01)
+    assert points[:, 1].max() == pytest.approx(height / 2, abs=0.01)
 
 
 def test_all_digits_look_different() -> None:
