@@ -54,4 +54,7 @@ def find(home: Path) -> Tshark:
     if program is None:
         pytest.skip("no tshark here: install it (Debian: apt-get install tshark) to test the dissector")
     wireshark.install(home / ".local" / "lib" / "wireshark" / "plugins")
-    return Tshark(program, home)
+    found = Tshark(program, home)
+    if os.geteuid() == 0 and "\tmurmur.step\t" not in found.run("-G", "fields"):
+        pytest.skip("as root, tshark from 4.4 on loads no Lua plug-ins: run these tests as another user")
+    return found

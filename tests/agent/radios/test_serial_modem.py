@@ -104,7 +104,7 @@ def test_a_port_that_no_modem_reads_fills_up_without_stopping_the_robot(terminal
 def test_ports_that_cannot_be_used_are_refused(terminal: Terminal, tmp_path: Path) -> None:
     with pytest.raises(TransportError, match="No such file"):
         SerialModem(tmp_path / "ttyUSB0", 9600, LONGEST)
-    with pytest.raises(TransportError, match="null byte"):
+    with pytest.raises(TransportError, match=r"null (byte|character)"):
         SerialModem(Path("ttyUSB0\0"), 9600, LONGEST)
     with pytest.raises(TransportError, match="baud = 1234"):
         SerialModem(terminal.path, 1234, LONGEST)
