@@ -41,7 +41,7 @@ class YieldBehavior:
     cells, `speed` is in cells per step.
     """
 
-    def __init__(self, seed: int, robot: int, near: float, speed: float = 1.0) -> None:
+    def __init__(self, seed: int, robot: int, near: float, speed: float) -> None:
         self.waited = 0
         """Consecutive steps in which a teammate has stopped the robot."""
         self._seed = seed

@@ -92,8 +92,8 @@ class Situation:
     def facing_the_unknown(self, *, diagonally: bool = False) -> int:
         """Return the heading toward an unknown 4-neighbor of the robot's cell, for a laser of a limited field of view.
 
-        The current heading if there is none. With `diagonally`, else toward an unknown diagonal neighbor with a free
-        cell beside it.
+        If there is none, and with `diagonally`, return the heading toward an unknown diagonal neighbor that has a free
+        cell beside it. Otherwise return the current heading.
         """
         grid, (height, width) = self.grid, self.grid.shape
         for dx, dy, heading in (*_STRAIGHT, *_DIAGONAL) if diagonally else _STRAIGHT:

@@ -33,7 +33,7 @@ MOST_ROBOTS = 8
 MOST_CURVES = 10
 """Maximum number of robots with a curve each."""
 MOST_HEADROOM = 10
-"""Budget over the bytes of the busiest step up to which a figure has a line at the budget."""
+"""A figure has a line at the budget if the budget is at most this many times the bytes of the busiest step."""
 MOMENTS = 6
 LEAST_WIDTH = 3.6
 """Inches of the picture of maps over time at least: as wide as its title."""

@@ -191,7 +191,7 @@ class Subcommands(TyperGroup):
 class GroupedCommand(TyperCommand):
     """A command whose help lists flags by group, as plain text; typer itself groups flags only in Rich boxes.
 
-    Arguments have the names that their metavars give. Typer adds types of Python, and dots behind those of a metavar.
+    Arguments are shown by their metavars alone. Typer itself would add the Python type, and a second ``...``.
     """
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:

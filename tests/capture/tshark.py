@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -55,6 +56,8 @@ def find(home: Path) -> Tshark:
         pytest.skip("no tshark here: install it (Debian: apt-get install tshark) to test the dissector")
     wireshark.install(home / ".local" / "lib" / "wireshark" / "plugins")
     found = Tshark(program, home)
-    if os.geteuid() == 0 and "\tmurmur.step\t" not in found.run("-G", "fields"):
+    version = re.search(r"(\d+)\.(\d+)", found.run("--version"))
+    assert version is not None
+    if os.geteuid() == 0 and (int(version[1]), int(version[2])) >= (4, 4):
         pytest.skip("as root, tshark from 4.4 on loads no Lua plug-ins: run these tests as another user")
     return found

@@ -146,7 +146,7 @@ def test_a_malformed_patch_is_rejected_and_changes_nothing(wrong: str) -> None:
 
 
 def test_rejected_frames_do_not_count_as_entries_of_their_author() -> None:
-    # Robot 2 forges entries of robot 0 in step 5: the first one is possible, but not the second.
+    # Robot 2 forges two patches of robot 0 in step 5. Robot 0 can have seen the first area by then, but not the second.
     receiver, cell = CellEncoding(settings_of(1)), np.full((1, 1), FREE + 1, np.uint8)
     forged = encode([Fragment(pack(0, 0, cell))]) + encode([Fragment(pack(WIDTH - 1, HEIGHT - 1, cell))])
     for _ in range(30):

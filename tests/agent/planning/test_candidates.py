@@ -40,9 +40,9 @@ def test_the_number_of_representatives_is_that_of_equation_1(
     assert count_representatives(cells, range_cells) == count
 
 
-def parts(edges: Segments) -> list[list[list[int]]]:
+def parts(segments: Segments) -> list[list[list[int]]]:
     """The cells of each edge."""
-    cells, sizes = edges
+    cells, sizes = segments
     return [part.tolist() for part in np.split(cells, np.cumsum(sizes)[:-1])]
 
 

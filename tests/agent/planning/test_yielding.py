@@ -36,7 +36,7 @@ def stopped_at(
 
 @given(st.sets(st.tuples(st.just(1), st.integers(1, 5)), min_size=1), st.integers(1, 1000))
 def test_a_robot_finds_its_way_around_any_row_of_teammates(held: set[tuple[int, int]], step: int) -> None:
-    route, yielding = Route(), YieldBehavior(0, 0, 9.0)
+    route, yielding = Route(), YieldBehavior(0, 0, 9.0, 1.0)
     route.plan(HALL, START, END)
     tries = 0
     while first_cell(route) in held:
@@ -48,7 +48,7 @@ def test_a_robot_finds_its_way_around_any_row_of_teammates(held: set[tuple[int, 
 
 
 def test_a_cell_that_was_held_long_ago_is_driven_over_again() -> None:
-    route, yielding = Route(), YieldBehavior(0, 0, 9.0)
+    route, yielding = Route(), YieldBehavior(0, 0, 9.0, 1.0)
     stopped_at(yielding, (1, 3))
     for step, is_forgotten in ((MEMORY - 1, False), (MEMORY, True)):
         yielding.pass_by(route, HALL, START, END, step)
@@ -56,7 +56,7 @@ def test_a_cell_that_was_held_long_ago_is_driven_over_again() -> None:
 
 
 def test_a_robot_waits_before_it_takes_a_detour() -> None:
-    yielding = YieldBehavior(0, 0, 9.0)
+    yielding = YieldBehavior(0, 0, 9.0, 1.0)
     for step in range(1, WAIT + 1):
         assert not yielding.has_waited
         stopped_at(yielding, (1, 3), step)
@@ -97,7 +97,7 @@ def test_without_a_detour_a_robot_yields_to_a_random_but_reproducible_cell() -> 
     for robot in range(40):
         ends = []
         for _ in range(2):
-            route, yielding = Route(), YieldBehavior(0, robot, 3.0)
+            route, yielding = Route(), YieldBehavior(0, robot, 3.0, 1.0)
             stopped_at(yielding, (31, 1), 7, (30, 1))
             yielding.pass_by(route, CORRIDOR, (30, 1), (59, 1), 7)
             ends.append(int(route.cells[-1][0]) if len(route.cells) else 30)
@@ -110,7 +110,7 @@ def farthest_room(asides: int, *, begins_anew: bool = False) -> int:
     """How far a robot goes, at most, when it makes room for the last of so many times."""
     longest = 0
     for robot in range(60):
-        route, yielding = Route(), YieldBehavior(0, robot, 1.0)
+        route, yielding = Route(), YieldBehavior(0, robot, 1.0, 1.0)
         stopped_at(yielding, (31, 1), 0, (30, 1))
         for _ in range(asides - 1):
             yielding.pass_by(route, CORRIDOR, (30, 1), (59, 1), 0)
@@ -127,7 +127,7 @@ def test_the_yield_distance_grows_until_the_next_target() -> None:
 
 
 def test_a_robot_shut_in_between_teammates_stays_where_it_is() -> None:
-    route, yielding = Route(), YieldBehavior(0, 0, 3.0)
+    route, yielding = Route(), YieldBehavior(0, 0, 3.0, 1.0)
     stopped_at(yielding, (31, 1), 0, (30, 1))
     stopped_at(yielding, (29, 1), 1, (30, 1))
     yielding.pass_by(route, CORRIDOR, (30, 1), (59, 1), 2)
@@ -135,7 +135,7 @@ def test_a_robot_shut_in_between_teammates_stays_where_it_is() -> None:
 
 
 def test_repeated_stops_in_one_cell_end_in_another_target() -> None:
-    yielding = YieldBehavior(0, 0, 3.0)
+    yielding = YieldBehavior(0, 0, 3.0, 1.0)
     for step in range(GIVE_UP):
         assert not yielding.gives_up()
         stopped_at(yielding, (1, 3), 2 * step)
